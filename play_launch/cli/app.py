@@ -40,7 +40,7 @@ Exit codes:
 """
 
 
-class Command(NamedTuple):
+class Verb(NamedTuple):
     """A command: a function or a `Typer` in a module of `play_launch.cli`."""
 
     name: str
@@ -64,54 +64,54 @@ _START, CONTROL = "Configure and start", "Control a running session"
 _ANALYSE, _GRAPH, _SETUP = "Analyse recordings", "ROS graph", "Installation"
 # In the order of the help.
 _ALL: Final = (
-    Command("replay", _START, "Start a system and record it."),
-    Command("launch", _START, "Start a ROS launch file and record it."),
-    Command("dump", _START, "Convert a ROS launch file to a configuration."),
-    Command("check", _START, "Check a configuration; start nothing."),
-    Command("init", _START, "Write a configuration to begin with."),
-    Command("schema", _START, "Print the JSON Schema of configurations.", "init"),
-    Command("import", _START, "Convert a dump of play_launch (Rust)."),
-    Command("systemd-unit", _START, "Write a systemd unit."),
-    Command("demo", _START, "Start the demo system: eight nodes, 10 s.", "replay"),
-    Command("ps", CONTROL, "List containers, nodes and processes."),
-    Command("status", CONTROL, "Show all about one container, node or process."),
-    Command("top", CONTROL, "Watch and operate a session on a screen."),
-    Command("events", CONTROL, "Print events; with -f new ones, too."),
-    Command("logs", CONTROL, "Print output of nodes; with -f new lines, too.", "events"),
-    Command("wait", CONTROL, "Wait until a system is up."),
-    Command("start", CONTROL, "Start stopped containers or processes.", "operate"),
-    Command("stop", CONTROL, "Stop containers or processes.", "operate"),
-    Command("restart", CONTROL, "Restart containers or processes.", "operate"),
-    Command("load", CONTROL, "Load composable nodes that are not loaded.", "operate"),
-    Command("unload", CONTROL, "Unload composable nodes.", "operate"),
-    Command("reload", CONTROL, "Unload composable nodes and load them again.", "operate"),
-    Command("signal", CONTROL, "Send a signal to processes.", "operate"),
-    Command("diff", CONTROL, "Compare a session with a configuration.", "apply"),
-    Command("apply", CONTROL, "Change a session to match a configuration."),
-    Command("param", CONTROL, "Get, set and dump parameters of nodes."),
-    Command("snapshot", CONTROL, "Write the pre-crash buffer (record.before_crash).", "operate"),
-    Command("info", _ANALYSE, "Summarise a recording."),
-    Command("inspect", _ANALYSE, "Print the events of a recording."),
-    Command("report", _ANALYSE, "Write an HTML page about a recording."),
-    Command("explain", _ANALYSE, "Explain what went wrong in a session."),
-    Command("crashes", _ANALYSE, "Group the crashes of many sessions."),
-    Command("compare", _ANALYSE, "Compare two sessions."),
-    Command("rerun", _ANALYSE, "Repeat and compare the supervisor's decisions."),
-    Command("recover", _ANALYSE, "Repair a damaged or unfinished recording."),
-    Command("export", _ANALYSE, "Convert a recording to Perfetto, CSV or Parquet."),
-    Command("layout", _ANALYSE, "Print a layout for Foxglove or PlotJuggler."),
-    Command("node", _GRAPH, "List nodes; show one.", "graph"),
-    Command("topic", _GRAPH, "List topics.", "graph"),
-    Command("service", _GRAPH, "List services.", "graph"),
-    Command("daemon", _GRAPH, "Run the graph daemon in place of ros2cli's."),
-    Command("doctor", _SETUP, "Check this machine, with fixes."),
-    Command("completion", _SETUP, "Print the completion script of a shell."),
-    Command("version", _SETUP, "Print versions.", "doctor"),
+    Verb("replay", _START, "Start a system and record it."),
+    Verb("launch", _START, "Start a ROS launch file and record it."),
+    Verb("dump", _START, "Convert a ROS launch file to a configuration."),
+    Verb("check", _START, "Check a configuration; start nothing."),
+    Verb("init", _START, "Write a configuration to begin with."),
+    Verb("schema", _START, "Print the JSON Schema of configurations.", "init"),
+    Verb("import", _START, "Convert a dump of play_launch (Rust)."),
+    Verb("systemd-unit", _START, "Write a systemd unit."),
+    Verb("demo", _START, "Start the demo system: eight nodes, 10 s.", "replay"),
+    Verb("ps", CONTROL, "List containers, nodes and processes."),
+    Verb("status", CONTROL, "Show all about one container, node or process."),
+    Verb("top", CONTROL, "Watch and operate a session on a screen."),
+    Verb("events", CONTROL, "Print events; with -f new ones, too."),
+    Verb("logs", CONTROL, "Print output of nodes; with -f new lines, too.", "events"),
+    Verb("wait", CONTROL, "Wait until a system is up."),
+    Verb("start", CONTROL, "Start stopped containers or processes.", "operate"),
+    Verb("stop", CONTROL, "Stop containers or processes.", "operate"),
+    Verb("restart", CONTROL, "Restart containers or processes.", "operate"),
+    Verb("load", CONTROL, "Load composable nodes that are not loaded.", "operate"),
+    Verb("unload", CONTROL, "Unload composable nodes.", "operate"),
+    Verb("reload", CONTROL, "Unload composable nodes and load them again.", "operate"),
+    Verb("signal", CONTROL, "Send a signal to processes.", "operate"),
+    Verb("diff", CONTROL, "Compare a session with a configuration.", "apply"),
+    Verb("apply", CONTROL, "Change a session to match a configuration."),
+    Verb("param", CONTROL, "Get, set and dump parameters of nodes."),
+    Verb("snapshot", CONTROL, "Write the pre-crash buffer (record.before_crash).", "operate"),
+    Verb("info", _ANALYSE, "Summarise a recording."),
+    Verb("inspect", _ANALYSE, "Print the events of a recording."),
+    Verb("report", _ANALYSE, "Write an HTML page about a recording."),
+    Verb("explain", _ANALYSE, "Explain what went wrong in a session."),
+    Verb("crashes", _ANALYSE, "Group the crashes of many sessions."),
+    Verb("compare", _ANALYSE, "Compare two sessions."),
+    Verb("rerun", _ANALYSE, "Repeat and compare the supervisor's decisions."),
+    Verb("recover", _ANALYSE, "Repair a damaged or unfinished recording."),
+    Verb("export", _ANALYSE, "Convert a recording to Perfetto, CSV or Parquet."),
+    Verb("layout", _ANALYSE, "Print a layout for Foxglove or PlotJuggler."),
+    Verb("node", _GRAPH, "List nodes; show one.", "graph"),
+    Verb("topic", _GRAPH, "List topics.", "graph"),
+    Verb("service", _GRAPH, "List services.", "graph"),
+    Verb("daemon", _GRAPH, "Run the graph daemon in place of ros2cli's."),
+    Verb("doctor", _SETUP, "Check this machine, with fixes."),
+    Verb("completion", _SETUP, "Print the completion script of a shell."),
+    Verb("version", _SETUP, "Print versions.", "doctor"),
 )
 COMMANDS: Final = {each.name: each for each in _ALL}
 
 
-def command_of(command: Command) -> Any:
+def command_of(command: Verb) -> Any:
     """Import a command and build its parser."""
     found = getattr(import_module(f"play_launch.cli.{command.module}"), command.function)
     if not isinstance(found, typer.Typer):

@@ -29,11 +29,10 @@ _NOWHERE: Final = Path("/launch file")
 
 ConfigTarget = Annotated[
     list[str],
-    typer.Argument(
-        metavar="CONFIG [NAME:=VALUE]...",
-        help="The YAML file, a launch file of ROS, or a package and a launch file; then arguments.",
-        show_default=False,
-        autocompletion=cli_options.complete_launch_file,
+    cli_options.argument(
+        "CONFIG [NAME:=VALUE]...",
+        "The YAML file, a launch file of ROS, or a package and a launch file; then arguments.",
+        "launch_files",
     ),
 ]
 ContainerType = Annotated[
@@ -65,7 +64,9 @@ def diff(
 def apply(  # noqa: PLR0917 - options, by name
     target: ConfigTarget,
     container_type: ContainerType = Containers.SAME,
-    timeout: Annotated[float, cli_options.timeout("Limit for each step.", "60s")] = 60.0,
+    timeout: Annotated[
+        float, cli_options.time("Limit for each step.", "--timeout", default="60s")
+    ] = 60.0,
     rollback_on_failure: Annotated[
         bool,
         typer.Option(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
@@ -22,14 +21,7 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
 
 
-class GraphForm(StrEnum):
-    """How ``check --graph`` writes the graph."""
-
-    TEXT = "text"
-    MERMAID = "mermaid"
-
-
-def check(  # noqa: PLR0917 - options, by name
+def check(
     config: options.ConfigFile,
     arguments: options.ConfigArguments = None,
     as_json: options.Json = False,
@@ -43,10 +35,6 @@ def check(  # noqa: PLR0917 - options, by name
             help="Print the resolved configuration, and command and environment of each process.",
         ),
     ] = False,
-    form: Annotated[
-        GraphForm | None,
-        typer.Option("--format", help="Of the graph: text (default), or mermaid, a flow chart."),
-    ] = None,
 ) -> int:
     """Find mistakes in a configuration; start nothing.
 
@@ -69,24 +57,24 @@ def check(  # noqa: PLR0917 - options, by name
         else:
             report(f"{config} cannot be used\n{error.for_people()}")
         return ExitCode.USAGE
-    started = _started(loaded) if explain else []
+    started: list[dict[str, Any]] = []
+    explained: dict[str, Any] = {}
+    if explain:
+        from play_launch.cli.explain_start import helpers, processes  # noqa: PLC0415
+
+        started = processes(loaded)
+        explained = {"processes": started, "helpers": helpers(loaded)}
     if as_json:
-        values: dict[str, object] = {"valid": True, "problems": [], "config": _resolved(loaded)}
+        values = {"valid": True, "problems": [], "config": _resolved(loaded), **explained}
         if graph:
             values["graph"] = _graph_values(loaded)
-        if explain:
-            from play_launch.cli.explain_start import helpers  # noqa: PLC0415
-
-            values["processes"] = started
-            values["helpers"] = helpers(loaded)
         say(json.dumps(values, ensure_ascii=False))
     elif graph:
-        say((_graph_mermaid if form is GraphForm.MERMAID else _graph_text)(loaded))
+        say(_graph_text(loaded))
     elif explain:
-        from play_launch.cli.explain_start import as_text as commands  # noqa: PLC0415
-        from play_launch.cli.explain_start import helpers  # noqa: PLC0415
+        from play_launch.cli.explain_start import as_text  # noqa: PLC0415
 
-        say(commands(_resolved(loaded), started, helpers(loaded)))
+        say(as_text(_resolved(loaded), started, explained["helpers"]))
     else:
         say(f"{config}: {describe(loaded)}")
     problems = [each for each in started if each["problem"]]
@@ -99,12 +87,6 @@ def _resolved(config: ReplayConfig) -> dict[str, object]:
     from play_launch.recording.resolved_form import resolved_form  # noqa: PLC0415
 
     return resolved_form(config)
-
-
-def _started(config: ReplayConfig) -> list[dict[str, Any]]:
-    from play_launch.cli.explain_start import processes  # noqa: PLC0415
-
-    return processes(config)
 
 
 def describe(config: ReplayConfig) -> str:
@@ -132,38 +114,6 @@ def _graph_text(config: ReplayConfig) -> str:
             waits.append(f"waits {unit.rule.delay:g} s")
         lines.append(f"{indentation}{unit.label}")
         lines += [f"{indentation}    {wait}" for wait in waits]
-    return "\n".join(lines)
-
-
-def _graph_mermaid(config: ReplayConfig) -> str:
-    """Write a flow chart: an arrow leads from each dependency to the unit that waits for it."""
-    names: dict[str, str] = {}
-    lines = ["flowchart LR"]
-    edges = []
-    is_open = False
-    for unit in _start_units(config):
-        if is_open and not unit.container:
-            lines.append("  end")
-            is_open = False
-        names[unit.name] = f"u{len(names)}"
-        if unit.has_nodes:
-            # The container is a unit of its own, inside of what stands for all of its nodes.
-            lines.append(f"  subgraph {names[unit.name]}s[{_quoted(unit.label)}]")
-            is_open = True
-        lines.append(f"  {'  ' if is_open else ''}{names[unit.name]}[{_quoted(unit.label)}]")
-        edges += [(each, unit.name) for each in unit.rule.dependencies]
-    if is_open:
-        lines.append("  end")
-    for dependency, name in edges:
-        source = dependency.unit or str(dependency)
-        if source not in names:
-            names[source] = f"w{len(names)}"
-            lines.append(f"  {names[source]}([{_quoted(source)}])")
-        label = f"{dependency.condition}: {dependency.subject}" if dependency.unit else ""
-        label = label.removesuffix(": ")
-        arrow = "-.->" if dependency.on_timeout is OnTimeout.START else "-->"
-        words = f"|{_quoted(label)}|" if label else ""
-        lines.append(f"  {names[source]} {arrow}{words} {names[name]}")
     return "\n".join(lines)
 
 
@@ -195,13 +145,12 @@ class _StartUnit(NamedTuple):
     label: str
     container: str
     rule: StartRule
-    has_nodes: bool = False
 
 
 def _start_units(config: ReplayConfig) -> Iterator[_StartUnit]:
     for member, nodes in config.units.items():
         rule = config.start_rules.get(member, StartRule())
-        yield _StartUnit(member, member, "", rule, has_nodes=bool(nodes))
+        yield _StartUnit(member, member, "", rule)
         for node in nodes:
             label = node.removeprefix(f"{member}:")
             yield _StartUnit(node, label, member, config.start_rules.get(node, StartRule()))
@@ -211,9 +160,3 @@ def _limit(dependency: Dependency) -> str:
     limit = f", at most {dependency.timeout:g} s" if math.isfinite(dependency.timeout) else ""
     starts = dependency.on_timeout is OnTimeout.START
     return f"{limit}, else it starts all the same" if starts else limit
-
-
-def _quoted(text: str) -> str:
-    # Mermaid knows entities, and takes what stands in quotes as text.
-    entities = {"#": "#35;", '"': "#quot;", "<": "#lt;", ">": "#gt;", "`": "#96;"}
-    return '"' + "".join(entities.get(each, each) for each in text) + '"'

@@ -55,7 +55,7 @@ def completion(
     sys.stdout.write(f"{script}\n")
 
 
-def sessions(incomplete: str) -> list[tuple[str, str]]:
+def sessions(_ctx: typer.Context, incomplete: str) -> list[tuple[str, str]]:
     """List names and pids of the running sessions."""
     found = []
     for each in _seen("ps", ()):

@@ -15,7 +15,7 @@ from play_launch.cli.output import is_passed_on, say
 from play_launch.cli.target import (
     USUAL_TIMEOUT,
     ContainerType,
-    Target,
+    LaunchTarget,
     argument_values,
     evaluated,
     say_arguments,
@@ -48,7 +48,7 @@ def dump(  # noqa: PLR0917 - options, by name
     be evaluated, or the result has mistakes that `check` finds. Temporary files of the launch file,
     and long texts, are written into a folder beside the configuration.
     """
-    from play_launch.cli.write_config import write_config  # noqa: PLC0415 - after --show-args
+    from play_launch.cli.target import write_config  # noqa: PLC0415 - after --show-args
     from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
 
     found = target_of(
@@ -68,7 +68,7 @@ def dump(  # noqa: PLR0917 - options, by name
     return write_config(made, output, strict=strict, as_json=as_json, more=more)
 
 
-def _heading(target: Target) -> str:
+def _heading(target: LaunchTarget) -> str:
     return f"From {shlex.join(target.words)}, by play-launch dump."
 
 

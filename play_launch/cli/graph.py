@@ -1,27 +1,26 @@
 """``play-launch node | topic | service``: the ROS graph, from the graph daemon.
 
-They import neither pydantic nor rclpy, which takes longer than the answer. Options and output are
+They import neither msgspec nor rclpy, which takes longer than the answer. Options and output are
 those of ``ros2 node list`` and the like.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from play_launch.cli import options
-from play_launch.cli.output import note, printable, redirect_to_devnull, report, warn
+from play_launch.cli.output import fail, note, printable, redirect_to_devnull, warn
 from play_launch.graph_daemon.contract import DomainError, daemon_address
 from play_launch.graph_daemon.graph_client import (
     DEFAULT_TIMEOUT,
-    DaemonError,
     GraphClient,
     Named,
     NoDaemonError,
-    NodeName,
     RemoteError,
 )
 from play_launch.supervisor.exit_code import ExitCode
@@ -47,16 +46,10 @@ node = typer.Typer(help="List nodes; show one.", no_args_is_help=True, **options
 topic = typer.Typer(help="List topics.", no_args_is_help=True, **options.PLAIN)
 service = typer.Typer(help="List services.", no_args_is_help=True, **options.PLAIN)
 
-All = Annotated[bool, typer.Option("--all", "-a", help="Include hidden ones.")]
-ShowTypes = Annotated[bool, typer.Option("--show-types", "-t", help="Print types as well.")]
 CallTimeout = Annotated[
     float,
-    typer.Option(
-        "--call-timeout",
-        parser=options.duration,
-        metavar="TIME",
-        help="Limit for an answer of the daemon.",
-        show_default=f"{DEFAULT_TIMEOUT:g}s",
+    options.time(
+        "Limit for an answer of the daemon.", "--call-timeout", default=f"{DEFAULT_TIMEOUT:g}s"
     ),
 ]
 NoStart = Annotated[bool, typer.Option("--no-start", help="Do not start a daemon if none runs.")]
@@ -67,144 +60,133 @@ def node_list(
     count: Annotated[
         bool, typer.Option("--count-nodes", "-c", help="Print their number only.")
     ] = False,
-    with_hidden: All = False,
+    with_hidden: Annotated[bool, typer.Option("--all", "-a", help="Include hidden ones.")] = False,
     call_timeout: CallTimeout = DEFAULT_TIMEOUT,
     no_start: NoStart = False,
     as_json: options.Json = False,
-) -> int:
+) -> None:
     """List the nodes."""
 
-    def show(client: GraphClient) -> int:
-        nodes = _visible(client.nodes(), with_hidden=with_hidden)
+    def show(client: GraphClient) -> None:
+        # A node is hidden by its own name, a topic or service by any part of it: so does ros2cli.
+        nodes = [
+            each
+            for each in client.nodes()
+            if with_hidden or (each.name and not each.name.startswith(_HIDDEN))
+        ]
         names = [each.full_name for each in nodes]
-        if count:
-            _say(str(len(names)))
-        elif as_json:
-            _print_json(
-                [
-                    {"name": n.name, "namespace": n.namespace, "full_name": n.full_name}
-                    for n in nodes
-                ]
-            )
+        if as_json and not count:
+            _print_json([{**each._asdict(), "full_name": each.full_name} for each in nodes])
         else:
-            _print_lines(names)
-        twice = sorted({name for name, after in pairwise(names) if name == after})
-        if twice:
+            _print_lines([str(len(names))] if count else names)
+        if twice := sorted({name for name, after in pairwise(names) if name == after}):
             names_twice = _one_line(", ".join(twice))
             warn(f"several nodes have the same name, which ROS does not allow: {names_twice}")
-        return ExitCode.OK
 
-    return _asked(show, call_timeout, no_start=no_start)
+    _asked(show, call_timeout, no_start=no_start)
 
 
 @node.command("info")
 def node_info(
-    name: Annotated[
-        str,
-        typer.Argument(
-            metavar="NODE", help="Full name, for example /sensing/camera.", show_default=False
-        ),
-    ],
+    name: Annotated[str, options.argument("NODE", "Full name, for example /sensing/camera.")],
     with_hidden: Annotated[
         bool, typer.Option("--include-hidden", help="Include hidden names.")
     ] = False,
     call_timeout: CallTimeout = DEFAULT_TIMEOUT,
     no_start: NoStart = False,
     as_json: options.Json = False,
-) -> int:
+) -> None:
     """Show publishers, subscriptions, services and actions of a node."""
     wanted = name if name.startswith("/") else f"/{name}"
-    return _asked(
-        lambda client: _info(client, wanted, with_hidden=with_hidden, as_json=as_json),
-        call_timeout,
-        no_start=no_start,
-    )
+
+    def show(client: GraphClient) -> None:
+        same = [each for each in client.nodes() if each.full_name == wanted]
+        if not same:
+            fail(f"there is no node {wanted}", ExitCode.NODE_FAILED)
+        if len(same) > 1:
+            warn(f"{len(same)} nodes have the name {wanted}; this is one of them")
+        sections: dict[str, list[Named]] = {}
+        try:
+            for _, key, method in _SECTIONS:
+                found = client.names_and_types(method, same[0].name, same[0].namespace)
+                sections[key] = _visible(found, with_hidden=with_hidden)
+        except RemoteError as error:
+            if same[0] in client.nodes():
+                raise
+            fail(f"the node {wanted} has exited meanwhile ({error.text})", ExitCode.NODE_FAILED)
+        if as_json:
+            values = {key: [each._asdict() for each in found] for key, found in sections.items()}
+            _print_json({**same[0]._asdict(), "full_name": wanted, **values})
+            return
+        _print_lines([wanted])
+        for title, key, _ in _SECTIONS:
+            lines = [f"    {entry.name}: {', '.join(entry.types)}" for entry in sections[key]]
+            _print_lines([f"  {title}:", *lines])
+
+    _asked(show, call_timeout, no_start=no_start)
 
 
-@topic.command("list")
-def topic_list(  # noqa: PLR0917 - options, by name
-    count: Annotated[
-        bool, typer.Option("--count-topics", "-c", help="Print their number only.")
-    ] = False,
-    show_types: ShowTypes = False,
-    with_hidden: Annotated[
-        bool, typer.Option("--all", "-a", "--include-hidden-topics", help="Include hidden ones.")
-    ] = False,
-    call_timeout: CallTimeout = DEFAULT_TIMEOUT,
-    no_start: NoStart = False,
-    as_json: options.Json = False,
-) -> int:
-    """List the topics."""
-    shown = _ListOptions(count, show_types, with_hidden, as_json)
-    return _asked(
-        lambda client: _list(client.names_and_types("get_topic_names_and_types"), shown),
-        call_timeout,
-        no_start=no_start,
-    )
+def _add_list(group: typer.Typer, noun: str) -> None:
+    """Add ``list`` to ``topic`` or ``service``."""
+
+    def show_list(
+        *,
+        count: bool = False,
+        show_types: Annotated[
+            bool, typer.Option("--show-types", "-t", help="Print types as well.")
+        ] = False,
+        with_hidden: bool = False,
+        call_timeout: CallTimeout = DEFAULT_TIMEOUT,
+        no_start: NoStart = False,
+        as_json: options.Json = False,
+    ) -> None:
+        def show(client: GraphClient) -> None:
+            found = client.names_and_types(f"get_{noun}_names_and_types")
+            shown = _visible(found, with_hidden=with_hidden)
+            if count:
+                _print_lines([str(len(shown))])
+            elif as_json:
+                _print_json([entry._asdict() for entry in shown])
+            elif show_types:
+                _print_lines(f"{entry.name} [{', '.join(entry.types)}]" for entry in shown)
+            else:
+                _print_lines(entry.name for entry in shown)
+
+        _asked(show, call_timeout, no_start=no_start)
+
+    # Annotations that use local names cannot be evaluated.
+    hidden = typer.Option("--all", "-a", f"--include-hidden-{noun}s", help="Include hidden ones.")
+    only_count = typer.Option(f"--count-{noun}s", "-c", help="Print their number only.")
+    show_list.__annotations__["with_hidden"] = Annotated[bool, hidden]
+    show_list.__annotations__["count"] = Annotated[bool, only_count]
+    group.command("list", help=f"List the {noun}s.")(show_list)
+    group.callback()(lambda: None)  # keeps the name of a single subcommand on the command line
 
 
-@service.command("list")
-def service_list(  # noqa: PLR0917 - options, by name
-    count: Annotated[
-        bool, typer.Option("--count-services", "-c", help="Print their number only.")
-    ] = False,
-    show_types: ShowTypes = False,
-    with_hidden: Annotated[
-        bool, typer.Option("--all", "-a", "--include-hidden-services", help="Include hidden ones.")
-    ] = False,
-    call_timeout: CallTimeout = DEFAULT_TIMEOUT,
-    no_start: NoStart = False,
-    as_json: options.Json = False,
-) -> int:
-    """List the services."""
-    shown = _ListOptions(count, show_types, with_hidden, as_json)
-    return _asked(
-        lambda client: _list(client.names_and_types("get_service_names_and_types"), shown),
-        call_timeout,
-        no_start=no_start,
-    )
+_add_list(topic, "topic")
+_add_list(service, "service")
 
 
-@topic.callback()
-@service.callback()
-def _group() -> None:
-    """Keep the name of a single subcommand on the command line."""
-
-
-class _ListOptions(NamedTuple):
-    only_count: bool
-    types: bool
-    with_hidden: bool
-    as_json: bool
-
-
-def _asked(
-    show: Callable[[GraphClient], int],
-    call_timeout: float,
-    *,
-    no_start: bool,
-) -> int:
-    """Query the daemon, which is started if none runs, and print; return the exit code."""
+def _asked(show: Callable[[GraphClient], None], call_timeout: float, *, no_start: bool) -> None:
+    """Query the daemon, which is started if none runs, and print."""
     try:
         address = daemon_address()
-        client = GraphClient(address, call_timeout)
+    except DomainError as error:
+        fail(str(error))
+    client = GraphClient(address, call_timeout)
+    try:
         try:
-            status = show(client)
+            show(client)
         except NoDaemonError as error:
             if no_start:
-                report(f"{error}; start one with 'play-launch daemon start'")
-                return ExitCode.NODE_FAILED
+                text = f"{error}; start one with 'play-launch daemon start'"
+                fail(text, ExitCode.NODE_FAILED)
             _start(address)
-            status = show(client)
+            show(client)
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader has enough (`| head`).
         redirect_to_devnull(sys.stdout)
-        return ExitCode.OK
-    except DomainError as error:
-        report(str(error))
-        return ExitCode.USAGE
-    return status
 
 
 def _start(address: DaemonAddress) -> None:
@@ -216,83 +198,21 @@ def _start(address: DaemonAddress) -> None:
     try:
         messages = start_daemon(address, notify=warn).messages
     except OSError as error:
-        raise DaemonError(str(error)) from None
+        fail(str(error), ExitCode.NODE_FAILED)
     for message in messages:
         warn(message)
 
 
-def _list(found: list[Named], shown_as: _ListOptions) -> int:
-    shown = [entry for entry in found if shown_as.with_hidden or not _is_hidden(entry.name)]
-    if shown_as.only_count:
-        _say(str(len(shown)))
-    elif shown_as.as_json:
-        _print_json([_plain(entry) for entry in shown])
-    elif shown_as.types:
-        _print_lines(f"{entry.name} [{', '.join(entry.types)}]" for entry in shown)
-    else:
-        _print_lines(entry.name for entry in shown)
-    return ExitCode.OK
-
-
-def _info(client: GraphClient, wanted: str, *, with_hidden: bool, as_json: bool) -> int:
-    same = [each for each in client.nodes() if each.full_name == wanted]
-    if not same:
-        report(f"there is no node {wanted}")
-        return ExitCode.NODE_FAILED
-    if len(same) > 1:
-        warn(f"{len(same)} nodes have the name {wanted}; this is one of them")
-    found_node = same[0]
-    sections: dict[str, list[Named]] = {}
-    try:
-        for _, key, method in _SECTIONS:
-            found = client.names_and_types(method, found_node.name, found_node.namespace)
-            sections[key] = [e for e in found if with_hidden or not _is_hidden(e.name)]
-    except RemoteError as error:
-        if found_node in client.nodes():
-            raise
-        report(f"the node {wanted} has exited meanwhile ({error.text})")
-        return ExitCode.NODE_FAILED
-    if as_json:
-        facts = {key: [_plain(entry) for entry in found] for key, found in sections.items()}
-        _print_json(
-            {
-                "name": found_node.name,
-                "namespace": found_node.namespace,
-                "full_name": wanted,
-                **facts,
-            }
-        )
-        return ExitCode.OK
-    _say(wanted)
-    for title, key, _ in _SECTIONS:
-        _say(f"  {title}:")
-        _print_lines(f"    {entry.name}: {', '.join(entry.types)}" for entry in sections[key])
-    return ExitCode.OK
-
-
-def _visible(nodes: Iterable[NodeName], *, with_hidden: bool) -> list[NodeName]:
-    # A node is hidden by its own name, a topic or service by any part of it: so does ros2cli.
+def _visible(found: list[Named], *, with_hidden: bool) -> list[Named]:
     return [
-        node for node in nodes if with_hidden or (node.name and not node.name.startswith(_HIDDEN))
+        each
+        for each in found
+        if with_hidden or not any(part.startswith(_HIDDEN) for part in each.name.split("/"))
     ]
 
 
-def _is_hidden(name: str) -> bool:
-    return any(part.startswith(_HIDDEN) for part in name.split("/"))
-
-
-def _plain(entry: Named) -> dict[str, object]:
-    return {"name": entry.name, "types": entry.types}
-
-
-def _print_json(value: object) -> None:
-    import json  # noqa: PLC0415 - not needed for lines
-
+def _print_json(value: Any) -> None:
     sys.stdout.write(f"{json.dumps(value)}\n")
-
-
-def _say(line: str) -> None:
-    _print_lines([line])
 
 
 def _print_lines(lines: Iterable[str]) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from play_launch.cli import options
 from play_launch.cli.output import fail
-from play_launch.cli.write_config import write_config
+from play_launch.cli.target import write_config
 
 
 def import_(

@@ -14,8 +14,8 @@ import typer
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import clock_times, fail, printable, redirect_to_devnull
-from play_launch.cli.show.lines import Line, line_of
-from play_launch.cli.show.styles import encode
+from play_launch.cli.show.display import encode
+from play_launch.cli.show.lines import DisplayLine, line_of
 from play_launch.cli.story_words import change
 from play_launch.config.values import parse_duration
 from play_launch.control.event_words import event_object, names_of
@@ -192,7 +192,7 @@ def _concerns(happened: Happened | Said, patterns: tuple[str, ...]) -> bool:
 def _shown(
     happened: Happened | Said, log_time: int, since: float, level: int, *, as_json: bool
 ) -> Iterator[str]:
-    line: Line | None
+    line: DisplayLine | None
     if isinstance(happened, Said):
         line, values = _of_parameters(happened, log_time)
     else:
@@ -207,24 +207,24 @@ def _shown(
         yield f"{since:10.3f} [{line.source}] {printable(text)}"
 
 
-def _of_parameters(said: Said, log_time: int) -> tuple[Line, dict[str, object]]:
+def _of_parameters(said: Said, log_time: int) -> tuple[DisplayLine, dict[str, object]]:
     values: dict[str, object] = {"event": "parameters", "stamp_ns": log_time}
     values |= msgspec.to_builtins(said._asdict())
     if said.error:
-        return Line(log_time, said.node, f"parameters: {said.error}", DEBUG), values
+        return DisplayLine(log_time, said.node, f"parameters: {said.error}", DEBUG), values
     if said.values is None:
         text = "\n".join(change(each) for each in said.changes)
-        return Line(log_time, said.node, text), values
+        return DisplayLine(log_time, said.node, text), values
     answer = "\n".join(f"  {name} {shortened(value)}" for name, value in said.values.items())
-    return Line(log_time, said.node, f"parameters:\n{answer}", DEBUG), values
+    return DisplayLine(log_time, said.node, f"parameters:\n{answer}", DEBUG), values
 
 
-def _line(happened: Happened) -> Line | None:
+def _line(happened: Happened) -> DisplayLine | None:
     event = happened.event
     if isinstance(event, ComponentEvent):
         # The state that follows from it says the rest.
         if event.kind is not ComponentEventKind.CRASHED or not event.backtrace:
             return None
         frames = "\n".join(f"  {frame}" for frame in event.backtrace)
-        return Line(event.stamp_ns, event.full_node_name, f"backtrace:\n{frames}", ERROR)
+        return DisplayLine(event.stamp_ns, event.full_node_name, f"backtrace:\n{frames}", ERROR)
     return line_of(event, happened.before, happened.after)

@@ -30,7 +30,8 @@ _SNAPSHOT_TIMEOUT: Final = 40.0
 """Seconds: gigabytes may have to be written."""
 
 Timeout = Annotated[
-    float, options.timeout("How long to wait; the operation itself continues.", "60s")
+    float,
+    options.time("How long to wait; the operation itself continues.", "--timeout", default="60s"),
 ]
 
 

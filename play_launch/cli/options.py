@@ -19,51 +19,53 @@ PLAIN: Final[dict[str, Any]] = {
 
 def duration(text: Any) -> float:
     """Read a duration of more than 0 s: ``30``, ``30s``, ``2min``, ``1h``."""
-    from play_launch.config.values import parse_positive_duration  # noqa: PLC0415 - slow
-
-    try:
-        return parse_positive_duration(text)
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
+    return _parsed("parse_positive_duration", text)
 
 
 def duration_or_zero(text: Any) -> float:
     """Read a duration, 0 s included."""
-    from play_launch.config.values import parse_duration  # noqa: PLC0415 - slow
+    return _parsed("parse_duration", text)
+
+
+def _parsed(parse: str, text: Any) -> float:
+    from play_launch.config import values  # noqa: PLC0415 - slow
 
     try:
-        return parse_duration(text)
+        return float(getattr(values, parse)(text))
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
 
 
-def timeout(about: str, default: str) -> Any:
-    """Declare ``--timeout``."""
+def time(about: str, *names: str, default: str = "") -> Any:
+    """Declare an option that is a duration."""
     return typer.Option(
-        "--timeout", parser=duration, metavar="TIME", help=about, show_default=default
+        *names, parser=duration, metavar="TIME", help=about, show_default=default or False
     )
 
 
-def complete_units(ctx: typer.Context, incomplete: str) -> Any:
-    """Complete names of containers, nodes and processes of running sessions."""
-    from play_launch.cli.completion import units  # noqa: PLC0415 - at Tab only
-
-    return units(ctx, incomplete)
-
-
-def complete_sessions(incomplete: str) -> Any:
-    """Complete names and pids of running sessions."""
-    from play_launch.cli.completion import sessions  # noqa: PLC0415 - at Tab only
-
-    return sessions(incomplete)
+def argument(metavar: str, about: str, complete: str = "") -> Any:
+    """Declare an argument, with the function of `cli.completion` that completes it."""
+    return typer.Argument(
+        metavar=metavar, help=about, show_default=False, autocompletion=completed_by(complete)
+    )
 
 
-def complete_launch_file(ctx: typer.Context, incomplete: str) -> Any:
-    """Complete packages and their launch files."""
-    from play_launch.cli.completion import launch_files  # noqa: PLC0415 - at Tab only
+def completed_by(function: str) -> Any:
+    """Complete by a function of `cli.completion`; empty: not at all."""
 
-    return launch_files(ctx, incomplete)
+    def complete(ctx: typer.Context, incomplete: str) -> Any:
+        from play_launch.cli import completion  # noqa: PLC0415 - at Tab only
 
+        return getattr(completion, function)(ctx, incomplete)
+
+    return complete if function else None
+
+
+def _file(about: str) -> Any:
+    return typer.Option("--output", "-o", metavar="FILE", help=about, show_default=False)
+
+
+_NAMES: Final = "full names, patterns such as '/sensing/*', or the last part of a name."
 
 Json: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Session: TypeAlias = Annotated[
@@ -73,46 +75,25 @@ Session: TypeAlias = Annotated[
         metavar="SESSION",
         help="Folder, name or pid of the session, if several are running.",
         show_default=False,
-        autocompletion=complete_sessions,
+        autocompletion=completed_by("sessions"),
     ),
 ]
 Names: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="[NAME]...",
-        help="Only these: full names, patterns such as '/sensing/*', or the last part of a name.",
-        show_default=False,
-        autocompletion=complete_units,
-    ),
+    list[str] | None, argument("[NAME]...", f"Only these: {_NAMES}", "units")
 ]
 Units: TypeAlias = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="NAME...",
-        help="Full names, patterns such as '/sensing/*', or the last part of a name.",
-        show_default=False,
-        autocompletion=complete_units,
-    ),
+    list[str], argument("NAME...", f"{_NAMES[0].upper()}{_NAMES[1:]}", "units")
 ]
 Follow: TypeAlias = Annotated[
     bool, typer.Option("-f", "--follow", help="Continue with new ones, until Ctrl-C.")
 ]
 Recording: TypeAlias = Annotated[
-    Path,
-    typer.Argument(
-        metavar="FILE", help="A session.mcap, or the folder of a session.", show_default=False
-    ),
+    Path, argument("FILE", "A session.mcap, or the folder of a session.")
 ]
-ConfigFile: TypeAlias = Annotated[
-    Path, typer.Argument(metavar="CONFIG", help="The YAML file.", show_default=False)
-]
+ConfigFile: TypeAlias = Annotated[Path, argument("CONFIG", "The YAML file.")]
 ConfigArguments: TypeAlias = Annotated[
     list[str] | None,
-    typer.Argument(
-        metavar="[NAME:=VALUE]...",
-        help="Arguments of the configuration, ${arg:NAME} in it.",
-        show_default=False,
-    ),
+    argument("[NAME:=VALUE]...", "Arguments of the configuration, ${arg:NAME} in it."),
 ]
 LogDir: TypeAlias = Annotated[
     Path | None,
@@ -124,36 +105,14 @@ LogDir: TypeAlias = Annotated[
     ),
 ]
 Duration: TypeAlias = Annotated[
-    float | None,
-    typer.Option(
-        parser=duration,
-        help="Stop after this time: 30, 30s, 2min, 1h. Default: at Ctrl-C.",
-        metavar="TIME",
-        show_default=False,
-    ),
+    float | None, time("Stop after this time: 30, 30s, 2min, 1h. Default: at Ctrl-C.")
 ]
 Quiet: TypeAlias = Annotated[
     bool, typer.Option("--quiet", "-q", help="Do not show output of nodes; it is recorded.")
 ]
-Output: TypeAlias = Annotated[
-    Path | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="FILE",
-        help="The file to write. Default: stdout.",
-        show_default=False,
-    ),
-]
+Output: TypeAlias = Annotated[Path | None, _file("The file to write. Default: stdout.")]
 OutputBeside: TypeAlias = Annotated[
-    Path | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="FILE",
-        help="The file to write. Default: beside the recording.",
-        show_default=False,
-    ),
+    Path | None, _file("The file to write. Default: beside the recording.")
 ]
 Strict: TypeAlias = Annotated[
     bool,
@@ -161,11 +120,8 @@ Strict: TypeAlias = Annotated[
 ]
 LaunchFile: TypeAlias = Annotated[
     list[str],
-    typer.Argument(
-        metavar="(PKG FILE | PATH) [NAME:=VALUE]...",
-        help="A launch file, and its arguments.",
-        show_default=False,
-        autocompletion=complete_launch_file,
+    argument(
+        "(PKG FILE | PATH) [NAME:=VALUE]...", "A launch file, and its arguments.", "launch_files"
     ),
 ]
 ShowArgs: TypeAlias = Annotated[
@@ -198,12 +154,5 @@ ShowAllOutput: TypeAlias = Annotated[
     ),
 ]
 EvaluationTimeout: TypeAlias = Annotated[
-    float,
-    typer.Option(
-        "--timeout",
-        parser=duration,
-        metavar="TIME",
-        help="Limit for the evaluation of the launch file.",
-        show_default="2min",
-    ),
+    float, time("Limit for the evaluation of the launch file.", "--timeout", default="2min")
 ]

@@ -27,33 +27,17 @@ param = typer.Typer(
 )
 
 Node = Annotated[
-    str,
-    typer.Argument(
-        metavar="NODE",
-        help="Full name, or its last part if that is unambiguous.",
-        show_default=False,
-        autocompletion=options.complete_units,
-    ),
+    str, options.argument("NODE", "Full name, or its last part if that is unambiguous.", "units")
 ]
-Timeout = Annotated[float, options.timeout("Limit for each request to a node.", "5s")]
-
-
-def complete_parameters(ctx: typer.Context, incomplete: str) -> Any:
-    """Complete names of parameters of the node that is on the line."""
-    from play_launch.cli.completion import parameters  # noqa: PLC0415 - at Tab only
-
-    return parameters(ctx, incomplete)
+Timeout = Annotated[
+    float, options.time("Limit for each request to a node.", "--timeout", default="5s")
+]
 
 
 @param.command("get")
 def get_(
     node: Node,
-    parameters: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="PARAMETER...", show_default=False, autocompletion=complete_parameters
-        ),
-    ],
+    parameters: Annotated[list[str], options.argument("PARAMETER...", "", "parameters")],
     timeout: Timeout = _TIMEOUT,
     session: options.Session = None,
     as_json: options.Json = False,
@@ -68,15 +52,9 @@ def get_(
 @param.command("set")
 def set_(  # noqa: PLR0917 - options, by name
     node: Node,
-    parameter: Annotated[
-        str,
-        typer.Argument(metavar="PARAMETER", show_default=False, autocompletion=complete_parameters),
-    ],
+    parameter: Annotated[str, options.argument("PARAMETER", "", "parameters")],
     value: Annotated[
-        str,
-        typer.Argument(
-            metavar="VALUE", help="As YAML, of the type that the parameter has.", show_default=False
-        ),
+        str, options.argument("VALUE", "As YAML, of the type that the parameter has.")
     ],
     timeout: Timeout = _TIMEOUT,
     session: options.Session = None,

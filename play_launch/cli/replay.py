@@ -27,10 +27,8 @@ DEMO: Final = Path(__file__).with_name("demo.yaml")
 def replay(  # noqa: PLR0917 - options, by name
     config: Annotated[
         Path,
-        typer.Argument(
-            metavar="CONFIG",
-            help="The YAML file, or the session.mcap of a session to start again.",
-            show_default=False,
+        options.argument(
+            "CONFIG", "The YAML file, or the session.mcap of a session to start again."
         ),
     ],
     arguments: options.ConfigArguments = None,
@@ -71,14 +69,7 @@ def replay(  # noqa: PLR0917 - options, by name
 
 def demo(
     seconds: Annotated[
-        float,
-        typer.Option(
-            "--seconds",
-            parser=options.duration,
-            metavar="TIME",
-            help="Stop after this time: 30, 2min.",
-            show_default="10",
-        ),
+        float, options.time("Stop after this time: 30, 2min.", "--seconds", default="10")
     ] = 10.0,
     log_dir: options.LogDir = None,
     quiet: options.Quiet = False,

@@ -74,12 +74,7 @@ def rerun(
     file: options.Recording,
     until: Annotated[
         float | None,
-        typer.Option(
-            parser=options.duration,
-            metavar="TIME",
-            help="Only up to this time after the start: 12.5s, 2min.",
-            show_default=False,
-        ),
+        options.time("Only up to this time after the start: 12.5s, 2min."),
     ] = None,
     diff: Annotated[
         bool, typer.Option("--diff", help="Print all differences, not only the first one.")

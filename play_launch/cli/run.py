@@ -17,8 +17,7 @@ from msgspec.structs import replace
 from play_launch.cli.background import Background, library_output_logged
 from play_launch.cli.check import describe
 from play_launch.cli.output import is_terminal, surviving_the_loss_of_stdout, wants_colour
-from play_launch.cli.show.display import Display, Style
-from play_launch.cli.show.styles import JsonStyle, LiveStyle, PlainStyle, encode
+from play_launch.cli.show.display import Display, JsonStyle, LiveStyle, PlainStyle, Style, encode
 from play_launch.control.feed import Feed
 from play_launch.control.registration import ControlSocket
 from play_launch.process import open_files
@@ -67,36 +66,27 @@ class GroupTotal(Struct, frozen=True, kw_only=True):
         """Whether a limit had an effect."""
         return bool(self.throttled_periods or self.oom_kills or self.pids_max_hits)
 
-    def plus(self, sample: GroupSample) -> GroupTotal:
-        values = {
-            name: getattr(self, name) + getattr(sample, name) for name in self.__struct_fields__
-        }
-        return GroupTotal(**values)
-
 
 class GroupTotals:
     """Sums of a run's samples; of each control group, the last sample counts."""
 
     def __init__(self) -> None:
-        self._last: dict[tuple[SubjectKind, str], GroupSample] = {}
-        self._before: dict[tuple[SubjectKind, str], GroupTotal] = {}
-        """Sums of the groups before that of the last sample."""
+        self._last: dict[tuple[SubjectKind, str], dict[int, GroupSample]] = {}
 
     def add(self, sample: GroupSample) -> None:
-        """Add a sample; one that is older than the last one of its unit changes nothing."""
-        unit = sample.kind, sample.key
-        last = self._last.get(unit, sample)
-        if sample.stamp_ns < last.stamp_ns:
-            return
-        if sample.group != last.group:
-            self._before[unit] = self._before.get(unit, GroupTotal()).plus(last)
-        self._last[unit] = sample
+        """Add a sample; one that is older than the last one of its group changes nothing."""
+        groups = self._last.setdefault((sample.kind, sample.key), {})
+        if sample.stamp_ns >= groups.get(sample.group, sample).stamp_ns:
+            groups[sample.group] = sample
 
     def get(self) -> dict[tuple[SubjectKind, str], GroupTotal]:
         """Return the sums by kind and key, in the order in which they were seen first."""
+        fields = GroupTotal.__struct_fields__
         return {
-            unit: self._before.get(unit, GroupTotal()).plus(last)
-            for unit, last in self._last.items()
+            unit: GroupTotal(
+                **{name: sum(getattr(each, name) for each in groups.values()) for name in fields}
+            )
+            for unit, groups in self._last.items()
         }
 
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, TypeAlias
 
 import typer
 from msgspec import Struct
+from msgspec.structs import asdict
 
-from play_launch.cli.output import counted, fail, note, say
+from play_launch.cli.output import counted, fail, is_standard_output, note, say, write_file
 from play_launch.launch_files.configuration.options import Containers
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from play_launch.launch_files.configuration.write import Written
     from play_launch.launch_files.records import Argument, Description
@@ -40,7 +43,7 @@ _OF_LAUNCH: Final = frozenset(
 """Arguments that hold for all processes; no launch file declares them."""
 
 
-class Target(Struct, frozen=True):
+class LaunchTarget(Struct, frozen=True):
     """A launch file, its arguments, and how it was named."""
 
     path: Path
@@ -55,7 +58,7 @@ class Target(Struct, frozen=True):
 
 def target_of(
     words: Sequence[str], *, launch_prefix: str = "", launch_prefix_filter: str = ""
-) -> Target:
+) -> LaunchTarget:
     """Return what a command line names; mistakes end the process."""
     from play_launch.launch_files.find import find  # noqa: PLC0415 - not for other verbs
 
@@ -69,7 +72,7 @@ def target_of(
             given["launch-prefix"] = launch_prefix
         if launch_prefix_filter:
             given["launch-prefix-filter"] = launch_prefix_filter
-        return Target(Path.cwd() / find(named), given, tuple(words))
+        return LaunchTarget(Path.cwd() / find(named), given, tuple(words))
     except ValueError as error:
         fail(str(error))
 
@@ -87,7 +90,7 @@ def _arguments(texts: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def evaluated(target: Target, timeout: float, *, only_arguments: bool = False) -> Description:
+def evaluated(target: LaunchTarget, timeout: float, *, only_arguments: bool = False) -> Description:
     """Return what the launch file describes; mistakes end the process."""
     from play_launch.launch_files.ros_launch.evaluate import evaluate  # noqa: PLC0415
 
@@ -147,3 +150,58 @@ def sizes(written: Written) -> str:
         f"{counted(written.composable_nodes, 'node')}, {counted(written.processes, 'process')}; "
         f"{written.lost} not carried over"
     )
+
+
+# The configuration that it becomes.
+
+
+def write_config(
+    made: Written,
+    output: Path | None,
+    *,
+    strict: bool,
+    as_json: bool,
+    more: Mapping[str, object] | None = None,
+) -> ExitCode:
+    """Write the configuration, report what it does not say, and return the exit code.
+
+    Without `output` it goes to stdout. With `strict` nothing is written when anything was lost.
+    `more` goes into the JSON.
+    """
+    is_refused = strict and made.lost > 0
+    if output is not None and is_standard_output(output):
+        output = None
+    if output is not None and not is_refused:
+        for path, content in made.files.items():
+            try:
+                path.parent.mkdir(exist_ok=True)
+            except OSError as error:
+                fail(f"{path.parent} cannot be made: {error.strerror}", ExitCode.NODE_FAILED)
+            write_file(path, content)
+        write_file(output, made.text)
+    if as_json:
+        say(json.dumps({**_values(made, output), **(more or {})}, ensure_ascii=False))
+    else:
+        if output is None and not is_refused:
+            say(made.text.rstrip("\n"))
+        report_losses(made)
+        note(sizes(made))
+    return ExitCode.USAGE if made.problems or is_refused else ExitCode.OK
+
+
+def _values(made: Written, output: Path | None) -> dict[str, object]:
+    return {
+        "output": None if output is None else str(output),
+        "config": made.text if output is None else None,
+        "copies": [str(path) for path in made.files],
+        "containers": made.containers,
+        "composable_nodes": made.composable_nodes,
+        "processes": made.processes,
+        "lost": [_loss(each) for each in made.losses if not each.is_note],
+        "notes": [_loss(each) for each in made.losses if each.is_note],
+        "problems": [asdict(problem) for problem in made.problems],
+    }
+
+
+def _loss(loss: object) -> dict[str, str]:
+    return {"where": str(getattr(loss, "where", "")), "what": str(getattr(loss, "what", ""))}

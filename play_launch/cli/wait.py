@@ -52,7 +52,8 @@ def wait(
         ),
     ] = "loaded",
     timeout: Annotated[
-        float, cli_options.timeout("Limit, including the wait for a session.", "60s")
+        float,
+        cli_options.time("Limit, including the wait for a session.", "--timeout", default="60s"),
     ] = 60.0,
     session: cli_options.Session = None,
     as_json: cli_options.Json = False,

@@ -17,7 +17,7 @@ from play_launch.config.resources import (
     ResourceLimit,
     nice_limit,
 )
-from play_launch.config.section import Kind
+from play_launch.config.section import ValueKind
 from play_launch.config.values import (
     NEVER,
     check_namespace,
@@ -90,31 +90,31 @@ def mapping_form(values: JsonSchema) -> JsonSchema:
     return {"type": "object", "additionalProperties": values}
 
 
-def _checked(check: Callable[[Value], Value], kind: Kind[Value]) -> Kind[Value]:
+def _checked(check: Callable[[Value], Value], kind: ValueKind[Value]) -> ValueKind[Value]:
     schema = core_schema.no_info_after_validator_function(check, kind.schema)
-    return Kind(schema, kind.form)
+    return ValueKind(schema, kind.form)
 
 
-def _parsed(parse: Callable[[Any], Value], *forms: JsonSchema) -> Kind[Value]:
-    return Kind(core_schema.no_info_plain_validator_function(parse), any_of(*forms))
+def _parsed(parse: Callable[[Any], Value], *forms: JsonSchema) -> ValueKind[Value]:
+    return ValueKind(core_schema.no_info_plain_validator_function(parse), any_of(*forms))
 
 
-def _text(check: Callable[[str], str]) -> Kind[str]:
-    return _checked(check, Kind(core_schema.str_schema(strict=True), STRING_FORM))
+def _text(check: Callable[[str], str]) -> ValueKind[str]:
+    return _checked(check, ValueKind(core_schema.str_schema(strict=True), STRING_FORM))
 
 
-def integer(least: int, most: int) -> Kind[int]:
+def integer(least: int, most: int) -> ValueKind[int]:
     schema = core_schema.int_schema(strict=True, ge=least, le=most)
-    return Kind(schema, _substitutable({"type": "integer", "minimum": least, "maximum": most}))
+    return ValueKind(schema, _substitutable({"type": "integer", "minimum": least, "maximum": most}))
 
 
-def list_of(items: Kind[Value], *, least: int | None = None) -> Kind[list[Value]]:
+def list_of(items: ValueKind[Value], *, least: int | None = None) -> ValueKind[list[Value]]:
     """Return the kind of lists with at least so many items."""
     schema = core_schema.list_schema(items.schema, strict=True, min_length=least)
-    return Kind(schema, list_form(items.form, least))
+    return ValueKind(schema, list_form(items.form, least))
 
 
-def choice(choices: type[_Choice]) -> Kind[_Choice]:
+def choice(choices: type[_Choice]) -> ValueKind[_Choice]:
     """Return the kind of the values of an enumeration."""
     words = [str(each) for each in choices]
 
@@ -233,7 +233,7 @@ def _parse_budget(
     return budgets
 
 
-BOOLEAN: Final[Kind[bool]] = Kind(
+BOOLEAN: Final[ValueKind[bool]] = ValueKind(
     core_schema.bool_schema(strict=True), _substitutable({"type": "boolean"})
 )
 THREADS: Final = integer(1, 1024)
@@ -263,7 +263,7 @@ OWN_NODE_NAME: Final = _text(lambda name: check_node_name(name) if name else nam
 NAMESPACE: Final = _text(check_namespace)
 TOPIC_PATTERN: Final = _text(check_topic_pattern)
 GRAPH_NAME: Final = _text(lambda name: check_topic(f"/{name.removeprefix('/')}"))
-BUDGET: Final[Kind[int | dict[str, float]]] = Kind(
+BUDGET: Final[ValueKind[int | dict[str, float]]] = ValueKind(
     core_schema.no_info_wrap_validator_function(
         _parse_budget,
         core_schema.dict_schema(TOPIC_PATTERN.schema, SIZE_OR_NEVER.schema, strict=True),
@@ -274,7 +274,8 @@ RUN_NAME: Final = _text(_check_run_name)
 PLUGIN: Final = _text(_check_plugin)
 ROS_ARGUMENTS: Final = list_of(_text(_check_ros_argument))
 VERSION: Final = _checked(
-    _check_version, Kind(core_schema.int_schema(strict=True), _substitutable({"type": "integer"}))
+    _check_version,
+    ValueKind(core_schema.int_schema(strict=True), _substitutable({"type": "integer"})),
 )
 REGULAR_EXPRESSION: Final = _text(_check_regular_expression)
 
@@ -403,7 +404,7 @@ COUNT: Final = (_COUNT_FORM, _whole(0, 2**63 - 1, "a number from 0 on"))
 
 def resource_limit(
     name: str, form: JsonSchema, parse_one: Callable[[object], float]
-) -> Kind[ResourceLimit]:
+) -> ValueKind[ResourceLimit]:
     """Return the kind of the limit of this name: one value, or soft:hard."""
 
     def value_of(value: object) -> float:

@@ -21,7 +21,12 @@ from play_launch.config.model import (
     StopLimits,
 )
 from play_launch.config.problems import ConfigError, Problem, Report
-from play_launch.config.resolve.nodes import Context, NodeNames, resolve_container, resolve_process
+from play_launch.config.resolve.nodes import (
+    NodeNames,
+    SharedContext,
+    resolve_container,
+    resolve_process,
+)
 from play_launch.config.resolve.order import StartRules
 from play_launch.config.resolve.parameter_files import ParameterFileReader
 from play_launch.config.resolve.policy import (
@@ -102,7 +107,7 @@ def _resolve(
         loading = document.composable_node_loading
     loading = loading or LoadingSection()
     groups = GroupRules(loading.cgroups, at.at_key(_LOADING).value("cgroups"))
-    shared = Context(files, environment, start_rules, names, groups)
+    shared = SharedContext(files, environment, start_rules, names, groups)
     containers = _containers(at, shared, loading)
     processes = [resolve_process(item, shared) for item in items_of(at.value("nodes"), "nodes")]
     nodes = tuple(process for process in processes if process is not None)
@@ -133,7 +138,7 @@ def _resolve(
 
 
 def _containers(
-    at: Cursor, shared: Context, loading: LoadingSection
+    at: Cursor, shared: SharedContext, loading: LoadingSection
 ) -> tuple[ContainerConfig, ...]:
     at_loading = at.at_key(_LOADING)
     policy = Policy().refined(loading, at_loading)

@@ -40,7 +40,7 @@ _EXPECTED = {
 }
 
 
-class Kind(Generic[Value]):
+class ValueKind(Generic[Value]):
     """A kind of values: the schema by which pydantic's core checks them, and the JSON Schema."""
 
     def __init__(self, schema: CoreSchema, form: JsonSchema) -> None:
@@ -70,13 +70,13 @@ class Key(NamedTuple):
     """Whether it is about included files, and is dropped when these are merged."""
 
 
-def required(kind: Kind[Value], description: str, *examples: object) -> Value:
+def required(kind: ValueKind[Value], description: str, *examples: object) -> Value:
     """Declare a key that has to be given."""
     key: Any = Key(kind.schema, description, examples, kind.form, required=True)
     return key  # type: ignore[no-any-return]
 
 
-def optional(kind: Kind[Value], description: str, *examples: object) -> Value | None:
+def optional(kind: ValueKind[Value], description: str, *examples: object) -> Value | None:
     """Declare a key that may be absent or null, which are the same."""
     schema = core_schema.nullable_schema(kind.schema)
     key: Any = Key(schema, description, examples, kind.form)

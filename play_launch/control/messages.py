@@ -123,7 +123,7 @@ class Managed(Struct, frozen=True):
     reason: str
 
 
-class Row(Struct, frozen=True, kw_only=True):
+class UnitRow(Struct, frozen=True, kw_only=True):
     """A container, composable node or ordinary process, as ``ps`` lists it."""
 
     name: str
@@ -175,7 +175,7 @@ class LastLine(Struct, frozen=True):
     text: str
 
 
-class Status(Row, frozen=True, kw_only=True):
+class UnitStatus(UnitRow, frozen=True, kw_only=True):
     """All that is known of one unit: the fields of ``ps``, and these."""
 
     since_ns: int | None

@@ -24,11 +24,11 @@ from play_launch.control.messages import (
     LastLine,
     ParameterNames,
     RestartRecord,
-    Row,
     Selected,
     SignalRequest,
     SnapshotResult,
-    Status,
+    UnitRow,
+    UnitStatus,
     WaitRequest,
     read_arguments,
 )
@@ -149,7 +149,7 @@ class Operations:
         if isinstance(event, ProcessSample):
             self._samples[event.kind, event.key] = event
 
-    async def _ps(self, request: Selected, _caller: Caller) -> list[Row]:
+    async def _ps(self, request: Selected, _caller: Caller) -> list[UnitRow]:
         view = self._publisher.view
         rows = rows_of(view, self._system.processes, self._samples)
         if request.names:
@@ -157,7 +157,7 @@ class Operations:
             rows = [row for row in rows if key_of(row) in found]
         return await asyncio.to_thread(with_groups, rows)
 
-    async def _status(self, request: Selected, caller: Caller) -> list[Status]:
+    async def _status(self, request: Selected, caller: Caller) -> list[UnitStatus]:
         rows = await self._ps(request, caller)
         targets = {str(target): target for target in self._chosen([key_of(row) for row in rows])}
         recent = self._feed.recent()

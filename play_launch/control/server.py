@@ -45,7 +45,7 @@ async def serving(
         return
     # The path of the socket goes by a descriptor that may be another file's by now.
     options: dict[str, Any] = {"cleanup_socket": False} if sys.version_info >= (3, 13) else {}
-    server = Server(hello, operate)
+    server = ControlServer(hello, operate)
     async with asyncio.TaskGroup() as tasks:
         listener = await asyncio.start_unix_server(
             lambda reader, writer: server.accept(tasks, reader, writer),
@@ -61,7 +61,7 @@ async def serving(
             await server.close()
 
 
-class Server:
+class ControlServer:
     """Serves the clients of a session."""
 
     def __init__(self, hello: SessionHello, operate: Operate) -> None:

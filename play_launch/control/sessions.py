@@ -35,8 +35,8 @@ _OTHERS_LIMIT: Final = 20
 """Sessions of other users that are listed."""
 _STAMP: Final = re.compile(r"\d{4}(-\d\d){5}-")
 """Prefix of the folders of sessions; the name of the session follows."""
-_FOLDER_NAME_LIMIT: Final = 100
-"""Characters of it."""
+_CUT: Final = 60
+"""Letters and digits of a name that may have been cut off in its folder, at 100 characters."""
 
 
 class NoSessionError(Exception):
@@ -86,71 +86,50 @@ def connect(session: str | None = None, *, limit: float = TIMEOUT) -> ControlCli
     if session is not None and _is_folder(session):
         return connect_to(session, limit=limit)
     links = registered()
-    meant = [link for link in links if session is None or str(link.pid) == session]
-    is_pid = session is not None and bool(meant)
-    if session is not None and not meant:
-        meant = [link for link in links if _may_be_called(link, session)]
+    by_pid = [link for link in links if str(link.pid) == session]
+    name = None if by_pid else session
+    meant = by_pid or [link for link in links if name is None or _may_be_called(link, name)]
     # Two live sessions are ambiguous whatever they answer; only their names are waited for.
+    listing = min(limit, _LISTING_TIMEOUT)
     is_decided = session is None and len(meant) > 1
-    found = find(meant, min(limit, _LISTING_TIMEOUT) if is_decided else limit)
-    chosen: Found | None = None
-    try:
-        chosen = choose(found, session, is_pid=is_pid)
-    except AmbiguousSessionError:
-        raise
-    except NoSessionError as error:
-        others = find([link for link in links if link not in meant], min(limit, _LISTING_TIMEOUT))
-        close(others)
-        known = [each for each in (*found, *others) if each.is_alive]
-        text = str(error)
-        if known and session is not None and not is_pid:
-            text += f"; these are running:\n{_listed(known)}"
-        raise NoSessionError(text + _of_others()) from None
-    finally:
-        close(each for each in found if each is not chosen)
-    if is_decided and isinstance(chosen.problem, OperationError):
-        return connect_to(chosen.link.folder, limit=limit)  # the others have ended
-    return _client_of(chosen)
-
-
-def connect_to(folder: str, *, limit: float = TIMEOUT) -> ControlClient:
-    """Connect to the session in a folder; raises NoSessionError, OperationError."""
-    return _client_of(_found(Link(0, folder, 0, 0), limit))
-
-
-def choose(found: Sequence[Found], session: str | None, *, is_pid: bool = False) -> Found:
-    """Choose one session.
-
-    Args:
-        found: What is registered: all, or those with that pid, or those that may have that name.
-        session: Name or pid of the session; None: the only one.
-        is_pid: Whether it is a pid.
-
-    Raises:
-        NoSessionError: When none of them is alive, or more than one.
-    """
-    alive = [each for each in found if each.is_alive]
-    is_name = session is not None and not is_pid
-    if session is not None and is_name:
-        alive = [each for each in alive if each.client is None or _is_called(each.client, session)]
+    found = find(meant, listing if is_decided else limit)
+    alive = [
+        each
+        for each in found
+        if each.is_alive and (name is None or each.client is None or _is_called(each.client, name))
+    ]
+    close(each for each in found if [each] != alive)
     if len(alive) == 1:
-        return alive[0]
+        if is_decided and isinstance(alive[0].problem, OperationError):
+            return connect_to(alive[0].link.folder, limit=limit)  # the others have ended
+        return _client_of(alive[0])
     if alive:
         text = "are running; choose one with --session (folder, name or pid)"
         if session is not None:
             may_be = "are" if all(each.client for each in alive) else "are, or may be,"
-            text = f"{may_be} called {session}; name the folder{' or the pid' if is_name else ''}"
+            text = f"{may_be} called {session}; name the folder{' or the pid' if name else ''}"
         raise AmbiguousSessionError(f"{len(alive)} sessions {text}:\n{_listed(alive)}")
-    reasons = [str(each.problem) for each in found if is_pid or each.has_exited]
-    if is_name:
+    reasons = [str(each.problem) for each in found if by_pid or each.has_exited]
+    if session is None:
+        reasons.insert(0, "no session of yours is running; start one with play-launch replay")
+    elif name is not None:
         reasons.insert(
             0,
             f"there is no session {session}: it is no folder with a {CONTROL_SOCKET}, and no pid "
             "or name of a running session",
         )
-    elif session is None:
-        reasons.insert(0, "no session of yours is running; start one with play-launch replay")
-    raise NoSessionError("\n  ".join(reasons))
+    text = "\n  ".join(reasons)
+    others = find([link for link in links if link not in meant], listing)
+    close(others)
+    known = [each for each in (*found, *others) if each.is_alive]
+    if known and name is not None:
+        text += f"; these are running:\n{_listed(known)}"
+    raise NoSessionError(text + _of_others())
+
+
+def connect_to(folder: str, *, limit: float = TIMEOUT) -> ControlClient:
+    """Connect to the session in a folder; raises NoSessionError, OperationError."""
+    return _client_of(_found(Link(0, folder, 0, 0), limit))
 
 
 def glance(
@@ -251,18 +230,11 @@ def _is_folder(session: str) -> bool:
 def _may_be_called(link: Link, session: str) -> bool:
     """Whether a session may have that name, as far as its folder shows."""
     name = os.path.basename(link.folder.rstrip("/"))  # noqa: PTH119 - pathlib is slow to import
-    stamp = _STAMP.match(name)
-    if stamp is None or name == session:
+    if name == session or not _STAMP.match(name):
         return True
-    name = name[stamp.end() :]
     # Other characters are replaced there, a number may follow, and long names are cut off.
-    plain, wanted = (re.sub("[^A-Za-z0-9]", "", text) for text in (name, session))
-    return (
-        plain == wanted
-        or plain.removeprefix(wanted).isdecimal()
-        or not wanted
-        or len(name) >= _FOLDER_NAME_LIMIT
-    )
+    plain, wanted = (re.sub("[^A-Za-z0-9]", "", text) for text in (_STAMP.sub("", name), session))
+    return plain.startswith(wanted) or (len(plain) > _CUT and wanted.startswith(plain))
 
 
 def _is_called(client: ControlClient, session: str) -> bool:

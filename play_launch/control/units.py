@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from play_launch.config.node_key import NodeKey
-from play_launch.control.messages import Managed, Row, Status
+from play_launch.control.messages import Managed, UnitRow, UnitStatus
 from play_launch.control.protocol import Code, OperationError
 from play_launch.process.cgroups.usage import group_of, usage_of
 from play_launch.process.exit import UNKNOWN_STATUS
@@ -140,20 +140,20 @@ def _proposal(word: str, candidates: Sequence[Target]) -> str:
 # Rows.
 
 
-def rows_of(view: SystemView, processes: Iterable[str], samples: Samples) -> list[Row]:
+def rows_of(view: SystemView, processes: Iterable[str], samples: Samples) -> list[UnitRow]:
     """Make the rows: each container before its nodes, as declared; then the processes.
 
     ``processes`` are the names of all ordinary processes that are declared: one that was never
     started is in no event.
     """
-    rows: list[Row] = []
+    rows: list[UnitRow] = []
     for container in view.containers.values():
         rows += _of_container(container, view, samples)
     names = dict.fromkeys([*processes, *view.processes])
     return rows + [_of_process(name, view, samples) for name in names]
 
 
-def with_groups(rows: Iterable[Row]) -> list[Row]:
+def with_groups(rows: Iterable[UnitRow]) -> list[UnitRow]:
     """Add the usage of the control group of each row's process; reads files of the kernel."""
     pids = {row.name: row.pid for row in rows if row.container is None}
     found = []
@@ -166,18 +166,18 @@ def with_groups(rows: Iterable[Row]) -> list[Row]:
     return found
 
 
-def key_of(row: Row) -> str:
+def key_of(row: UnitRow) -> str:
     """Return the text of the unit's key: ``/container:/node`` for a composable node."""
     return f"{row.container}:{row.name}" if row.container else row.name
 
 
 def status_of(
-    row: Row,
+    row: UnitRow,
     world: World,
     view: SystemView,
     restarts: tuple[RestartRecord, ...],
     output: tuple[LastLine, ...],
-) -> Status | None:
+) -> UnitStatus | None:
     """Add to a row all that is known of its unit; None: it was removed."""
     unit: Process | Node | None
     seen: ContainerView | ProcessView | NodeView | None
@@ -191,8 +191,8 @@ def status_of(
         seen = container.nodes.get(key) if container else None
     if unit is None:
         return None
-    return Status(
-        **{name: getattr(row, name) for name in Row.__struct_fields__},
+    return UnitStatus(
+        **{name: getattr(row, name) for name in UnitRow.__struct_fields__},
         since_ns=seen.since_ns or None if seen else None,
         last_restarts=restarts,
         waits_for=unit.wait.text if unit.wait else "",
@@ -204,10 +204,12 @@ def status_of(
     )
 
 
-def _of_container(container: ContainerView, view: SystemView, samples: Samples) -> Iterator[Row]:
+def _of_container(
+    container: ContainerView, view: SystemView, samples: Samples
+) -> Iterator[UnitRow]:
     process = container.process
     sample = samples.get((SubjectKind.CONTAINER, container.name))
-    yield Row(
+    yield UnitRow(
         name=container.name,
         kind="container",
         container=None,
@@ -222,12 +224,14 @@ def _of_container(container: ContainerView, view: SystemView, samples: Samples) 
         yield _of_node(node, container, view, samples)
 
 
-def _of_node(node: NodeView, container: ContainerView, view: SystemView, samples: Samples) -> Row:
+def _of_node(
+    node: NodeView, container: ContainerView, view: SystemView, samples: Samples
+) -> UnitRow:
     pid = node.pid if node.state in _HAS_PROCESS and container.process.pid else 0
     # Without a process of its own, its usage is in the numbers of its container.
     is_own = pid not in {0, container.process.pid}
     sample = samples.get((SubjectKind.NODE, str(node.key))) if is_own else None
-    return Row(
+    return UnitRow(
         name=node.node,
         kind="component",
         container=node.container,
@@ -246,12 +250,12 @@ def _of_node(node: NodeView, container: ContainerView, view: SystemView, samples
     )
 
 
-def _of_process(name: str, view: SystemView, samples: Samples) -> Row:
+def _of_process(name: str, view: SystemView, samples: Samples) -> UnitRow:
     process = view.processes.get(name)
     life: dict[str, Any] = dict.fromkeys(("pid", "uptime_s", "exit_code", "signal")) | {
         "restarts": 0
     }
-    return Row(
+    return UnitRow(
         name=name,
         kind="process",
         container=None,

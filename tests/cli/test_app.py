@@ -163,16 +163,6 @@ def test_check_names_the_place_of_a_mistake(bad: Path) -> None:
     assert {(problem["line"], problem["file"]) for problem in values["problems"]} == {(3, str(bad))}
 
 
-def test_replay_starts_nothing_with_a_mistake(bad: Path, tmp_path: Path) -> None:
-    logs = tmp_path / "logs"
-    result = runner.invoke(app, ["replay", str(bad), "--log-dir", str(logs)])
-    assert result.exit_code == 2
-    assert result.stdout == ""
-    assert "nothing was started" in result.stderr
-    assert f"{bad}:3:5:" in result.stderr
-    assert not logs.exists()
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -190,13 +180,6 @@ def test_wrong_usage_is_a_sentence(
     result = runner.invoke(app, ["replay", str(good), *given])
     assert result.exit_code == 2
     assert words in result.stderr
-    assert "Traceback" not in result.stderr
-
-
-def test_a_missing_file_is_a_sentence(tmp_path: Path) -> None:
-    result = runner.invoke(app, ["replay", str(tmp_path / "none.yaml")])
-    assert result.exit_code == 2
-    assert "none.yaml" in result.stderr
     assert "Traceback" not in result.stderr
 
 

@@ -9,8 +9,15 @@ import pytest
 from rich.console import Console
 
 from play_launch.cli.show import display as display_module
-from play_launch.cli.show.display import Display, Shown, Style
-from play_launch.cli.show.styles import JsonStyle, LiveStyle, PlainStyle, live_view
+from play_launch.cli.show.display import (
+    Display,
+    JsonStyle,
+    LiveStyle,
+    PlainStyle,
+    ShownEvent,
+    Style,
+    live_view,
+)
 from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
@@ -42,7 +49,7 @@ class StubStyle(Style):
         self.entered = threading.Event()
         self.closed = threading.Event()
 
-    def show(self, batch: Sequence[Shown], missed: int) -> float | None:
+    def show(self, batch: Sequence[ShownEvent], missed: int) -> float | None:
         if batch:
             self.entered.set()
             self.gate.wait()
@@ -54,18 +61,6 @@ class StubStyle(Style):
 
     def close(self) -> None:
         self.closed.set()
-
-
-def test_everything_is_shown_in_order() -> None:
-    style = StubStyle()
-    shower = Display(style)
-    events = [output(str(number)) for number in range(1000)]
-    for event in events:
-        shower.publish(event, EMPTY, EMPTY)
-    shower.close()
-    assert style.shown == events
-    assert style.missed == 0
-    assert style.closed.is_set()
 
 
 def test_a_blocked_terminal_blocks_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,24 +94,12 @@ def test_the_end_does_not_wait_forever(monkeypatch: pytest.MonkeyPatch) -> None:
     style.closed.wait()
 
 
-def test_showing_ends_when_the_reader_has_gone(monkeypatch: pytest.MonkeyPatch) -> None:
-    let_go: list[bool] = []
-    monkeypatch.setattr(display_module, "redirect_to_devnull", lambda stream: let_go.append(True))
-    style = StubStyle(BrokenPipeError())
-    shower = Display(style)
-    shower.publish(output("first"), EMPTY, EMPTY)
-    style.closed.wait()
-    assert let_go == [True]
-    shower.publish(output("second"), EMPTY, EMPTY)
-    shower.close()
-
-
-def folded(*events: RunEvent) -> list[Shown]:
+def folded(*events: RunEvent) -> list[ShownEvent]:
     shown = []
     before = EMPTY
     for event in events:
         after = before.after(event)
-        shown.append(Shown(event, before, after))
+        shown.append(ShownEvent(event, before, after))
         before = after
     return shown
 
@@ -149,7 +132,7 @@ def test_a_record_of_the_log_leaves_the_live_view_as_it_is() -> None:
     # It comes from any thread, and what that thread knows of the view may be older.
     stream = io.StringIO()
     style = LiveStyle(Console(file=stream, force_terminal=True, width=80), colour=False)
-    heard: list[Shown] = []
+    heard: list[ShownEvent] = []
     collecting = StubStyle()
     collecting.show = lambda batch, _: heard.extend(batch)  # type: ignore[assignment, method-assign]
     display = Display(collecting)
@@ -160,13 +143,6 @@ def test_a_record_of_the_log_leaves_the_live_view_as_it_is() -> None:
     assert style.show(heard, 0) is None, "all that is declared is there: nothing to draw again"
     style.close()
     assert "late" in stream.getvalue()
-
-
-def test_json_has_the_key_of_a_node_and_its_parts() -> None:
-    stream = io.StringIO()
-    JsonStyle(stream).show(folded(node("/c", 0, NodeState.LOADED)), 0)
-    read = json.loads(stream.getvalue())
-    assert (read["key"], read["container"], read["node"]) == ("/c:/c/n0", "/c", "/c/n0")
 
 
 def test_json_has_one_object_for_each_event() -> None:

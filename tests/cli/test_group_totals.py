@@ -66,13 +66,3 @@ def test_the_last_sample_of_each_group_counts(groups: list[Life], data: st.DataO
         pids_max_hits=expected,
     )
     assert total.is_throttled == bool(expected)
-
-
-def test_everything_has_sums_of_its_own() -> None:
-    totals = GroupTotals()
-    for key in ("/a", "/b", "/a"):
-        totals.add(sample(1, 1, 3, key))
-    assert [(key, total.oom_kills) for (_, key), total in totals.get().items()] == [
-        ("/a", 3),
-        ("/b", 3),
-    ]

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from play_launch.cli.show.lines import Line, format_lines, line_of
+from play_launch.cli.show.lines import DisplayLine, format_lines, line_of
 from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,
@@ -18,7 +18,7 @@ from play_launch.supervisor.events import (
 from tests.cli.scenes import START, container, node, output, process, view
 
 
-def line(event: RunEvent, *earlier: RunEvent) -> Line | None:
+def line(event: RunEvent, *earlier: RunEvent) -> DisplayLine | None:
     before = view(*earlier)
     return line_of(event, before, before.after(event))
 
@@ -112,9 +112,9 @@ def test_the_log_shows_warnings_only() -> None:
 
 def test_lines_are_laid_out_with_their_source_and_cleaned() -> None:
     lines = [
-        Line(START, "/a", "one\ntwo"),
-        Line(START, "/a", "\x1b[2J\x1b[31mred\x1b[0m\x07"),
-        Line(START, "/a", "bad", 40),
+        DisplayLine(START, "/a", "one\ntwo"),
+        DisplayLine(START, "/a", "\x1b[2J\x1b[31mred\x1b[0m\x07"),
+        DisplayLine(START, "/a", "bad", 40),
     ]
     assert format_lines(lines, times=False, colour=False) == (
         "[/a] one\n[/a] two\n[/a] red\n[/a] bad\n"
@@ -123,7 +123,7 @@ def test_lines_are_laid_out_with_their_source_and_cleaned() -> None:
     assert "\x1b[31mred\x1b[0m\x1b[0m\n" in coloured
     assert "\x1b[31mbad\x1b[0m\n" in coloured
     assert "\x1b[2J" not in coloured
-    timed = format_lines([Line(START + 7_000_000, "/a", "x")], times=True, colour=False)
+    timed = format_lines([DisplayLine(START + 7_000_000, "/a", "x")], times=True, colour=False)
     assert timed.endswith(".007 [/a] x\n")
 
 

@@ -3,13 +3,12 @@ from __future__ import annotations
 import pytest
 
 from play_launch.cli.output import duration
-from play_launch.cli.show.status import (
+from play_launch.cli.show.summary import (
     container_status,
     is_complete,
-    process_status,
 )
-from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind, RunEvent
-from tests.cli.scenes import SECOND, START, container, node, process, view
+from play_launch.supervisor.events import ContainerState, NodeState, RunEvent
+from tests.cli.scenes import SECOND, START, container, node, view
 
 
 def status(*events: RunEvent, at: float = 0) -> str:
@@ -55,13 +54,6 @@ def test_a_container_that_does_not_run_says_why(state: ContainerState, expected:
     assert status(container("/c", state, reason="again in 1 s"), at=5) == expected
 
 
-def test_complete_is_a_running_container_with_all_nodes() -> None:
-    loaded = node("/c", 0, NodeState.LOADED)
-    assert is_complete(view(container("/c"), loaded).containers["/c"])
-    starting = container("/c", ContainerState.STARTING)
-    assert not is_complete(view(starting, loaded).containers["/c"])
-
-
 @pytest.mark.parametrize(
     ("seconds", "expected"),
     [
@@ -76,13 +68,3 @@ def test_complete_is_a_running_container_with_all_nodes() -> None:
 )
 def test_durations_are_for_people(seconds: float, expected: str) -> None:
     assert duration(round(seconds * SECOND)) == expected
-
-
-def test_how_a_process_ended() -> None:
-    killed = view(process("/p", ProcessEventKind.EXITED, signal=9)).processes["/p"]
-    assert process_status(killed) == "exited with signal 9 (SIGKILL)"
-    gone = view(process("/p", ProcessEventKind.GAVE_UP, message="5 restarts")).processes["/p"]
-    assert process_status(gone) == "gave up: 5 restarts"
-    assert (
-        process_status(view(process("/p", ProcessEventKind.STARTED)).processes["/p"]) == "running"
-    )

@@ -54,14 +54,6 @@ def test_the_summary_says_what_was_up_what_failed_and_where_the_recording_is() -
     assert "\x1b" not in text
 
 
-def test_a_recording_that_stopped_early_says_so() -> None:
-    text = printed(
-        RecordingSummary(path=LONG, messages=1, dropped=4321, bytes=5, error="No space left")
-    )
-    assert "4,321 events dropped" in text
-    assert "stopped early: No space left" in text
-
-
 def test_several_files_and_interruptions_are_counted() -> None:
     summary = RecordingSummary(path=LONG, messages=1, dropped=0, bytes=5, parts=3, interruptions=1)
     text = printed(summary)

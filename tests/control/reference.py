@@ -48,7 +48,7 @@ def _docstrings(kind: type[msgspec.Struct]) -> dict[str, str]:
                 ast.Expr(value=ast.Constant(value=str(text))),
             ):
                 found[name] = " ".join(text.split())
-    if kind is not messages.Status:  # its table follows that of its base
+    if kind is not messages.UnitStatus:  # its table follows that of its base
         for base in kind.__bases__:
             if base.__module__ == messages.__name__:
                 found = _docstrings(base) | found

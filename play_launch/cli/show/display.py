@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import sys
 import threading
-from typing import TYPE_CHECKING, Final, NamedTuple
+import time
+from typing import IO, TYPE_CHECKING, Final, NamedTuple
 
-from play_launch.cli.output import redirect_to_devnull
-from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent, Sample
+from play_launch.cli.output import counted, redirect_to_devnull
+from play_launch.cli.show.lines import DisplayLine, format_lines, line_of, missed_line
+from play_launch.cli.show.summary import container_status, is_complete, process_status
+from play_launch.control.event_words import event_object
+from play_launch.supervisor.events import ContainerState, LogRecord, OutputLine, RunEvent, Sample
 from play_launch.supervisor.view import SystemView
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from rich.console import Console, Group
+    from rich.live import Live
+    from rich.text import Text
+
+    from play_launch.supervisor.view import ContainerView
 
 _log = logging.getLogger(__name__)
 _NO_VIEW: Final = SystemView()
@@ -27,7 +38,7 @@ _CLOSE_TIMEOUT: Final = 2.0
 """Seconds for the last events at the end of the run."""
 
 
-class Shown(NamedTuple):
+class ShownEvent(NamedTuple):
     """An event and the view before and after it; a record of the log has none."""
 
     event: RunEvent
@@ -38,7 +49,7 @@ class Shown(NamedTuple):
 class Style:
     """One way to show a run; called in the display's thread."""
 
-    def show(self, batch: Sequence[Shown], missed: int) -> float | None:
+    def show(self, batch: Sequence[ShownEvent], missed: int) -> float | None:
         """Show events; ``missed`` lines of output before the last of them are not among them.
 
         Returns the seconds after which to be called again even though nothing has happened, or
@@ -62,7 +73,7 @@ class Display:
         self._style = style
         self._hidden = (Sample, OutputLine) if quiet else Sample
         self._lock = threading.Lock()
-        self._queue: list[Shown] = []
+        self._queue: list[ShownEvent] = []
         self._missed = 0
         self._closing = False
         self._is_off = False
@@ -81,7 +92,7 @@ class Display:
             if self._closing or waiting >= room:
                 self._missed += 1
                 return
-            self._queue.append(Shown(event, before, after))
+            self._queue.append(ShownEvent(event, before, after))
         if not waiting:
             self._wake.set()
 
@@ -121,3 +132,146 @@ class Display:
             # Also after an exception: the cursor must be visible again.
             with contextlib.suppress(OSError, ValueError):
                 self._style.close()
+
+
+# Styles.
+
+_REDRAW: Final = 0.5
+"""Seconds between two frames while something is pending."""
+_OTHER_ROWS: Final = 3
+"""Rows that are kept free: the totals, the line about omitted rows, and the prompt."""
+_TROUBLE: Final = frozenset({ContainerState.BACKOFF, ContainerState.GAVE_UP})
+
+
+def encode(values: dict[str, object]) -> str:
+    """Write one object on one line; plain ASCII, so that no stream's encoding can refuse it."""
+    return json.dumps(values, separators=(",", ":"))
+
+
+class JsonStyle(Style):
+    """Events as JSON, one object a line, for programs that watch a run."""
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+
+    def show(self, batch: Sequence[ShownEvent], missed: int) -> None:
+        objects = [event_object(shown.event) for shown in batch]
+        if missed:
+            objects.append({"event": "missed", "lines": missed})
+        if objects:
+            self._stream.write("".join(f"{encode(values)}\n" for values in objects))
+            self._stream.flush()
+
+
+class PlainStyle(Style):
+    """Lines with a time, for files, pipes and journals."""
+
+    def __init__(self, stream: IO[str], *, colour: bool) -> None:
+        self._stream = stream
+        self._colour = colour
+
+    def show(self, batch: Sequence[ShownEvent], missed: int) -> None:
+        if lines := _lines(batch, missed):
+            self._stream.write(format_lines(lines, times=True, colour=self._colour))
+            self._stream.flush()
+
+
+class LiveStyle(Style):
+    """Lines scroll by above a view of what is up and what is missing."""
+
+    def __init__(self, console: Console, *, colour: bool) -> None:
+        self._console = console
+        self._colour = colour
+        self._view = SystemView()
+        self._live: Live | None = None
+
+    def show(self, batch: Sequence[ShownEvent], missed: int) -> float | None:
+        from rich.live import Live  # noqa: PLC0415 - not needed where there is no terminal
+
+        if self._live is None:
+            self._live = Live(
+                console=self._console,
+                auto_refresh=False,
+                transient=True,
+                redirect_stdout=False,
+                redirect_stderr=False,
+            )
+            self._live.start()
+        for shown in batch:
+            if not isinstance(shown.event, LogRecord):
+                self._view = shown.after
+        lines = [line for line in _lines(batch, missed) if not line.is_progress]
+        if lines:
+            text = format_lines(lines, times=False, colour=self._colour)
+            self._console.out(text, end="", highlight=False)
+        view = live_view(self._view, time.time_ns(), self._console.height)
+        self._live.update(view, refresh=True)
+        return _REDRAW if self._view.waiting or self._view.total == 0 else None
+
+    def close(self) -> None:
+        """Remove the view; the summary follows."""
+        if self._live is not None:
+            self._live.stop()
+
+
+def _lines(batch: Sequence[ShownEvent], missed: int) -> list[DisplayLine]:
+    lines = [line for shown in batch if (line := line_of(*shown))]
+    return [*lines, missed_line(missed)] if missed else lines
+
+
+def live_view(view: SystemView, now_ns: int, height: int) -> Group:
+    """Draw a view for a terminal of ``height`` rows; a row too long for it is cut.
+
+    Containers with trouble come first, complete ones last. When all are complete only the totals
+    remain.
+    """
+    from rich.console import Group  # noqa: PLC0415 - as above
+
+    containers = sorted(view.containers.values(), key=_urgency)
+    missing = [each for each in containers if not is_complete(each)]
+    rows = [_container_row(each, now_ns) for each in missing]
+    rows += [_row(each.name, process_status(each), "red") for each in view.failed_processes]
+    if rows:
+        rows += [_container_row(each, now_ns) for each in containers if is_complete(each)]
+    room = max(height - _OTHER_ROWS, 1)
+    if len(rows) > room:
+        rows = [*rows[:room], _text(f"  … and {len(rows) - room} more", "dim")]
+    return Group(*rows, _totals(view, len(containers) - len(missing)))
+
+
+def _totals(view: SystemView, complete: int) -> Text:
+    if not view.containers and not view.processes:
+        return _text("starting", "bold")
+    containers = counted(len(view.containers), "container")
+    text = f"{view.loaded}/{view.total} nodes loaded, {complete}/{containers} complete"
+    if view.processes:
+        running = sum(process.pid != 0 for process in view.processes.values())
+        text += f", {running}/{counted(len(view.processes), 'process')} running"
+    is_up = complete == len(view.containers) and not view.failed_processes
+    return _text(text, "green" if is_up else "bold")
+
+
+def _container_row(container: ContainerView, now_ns: int) -> Text:
+    style = "not bold"
+    if container.failed or container.state is ContainerState.GAVE_UP:
+        style = "not bold red"
+    elif is_complete(container):
+        style = "not bold green"
+    elif container.state in _TROUBLE:
+        style = "not bold yellow"
+    return _row(container.name, container_status(container, now_ns), style)
+
+
+def _row(name: str, status: str, style: str) -> Text:
+    return _text(f"  {name}  ", "bold").append(status, style)
+
+
+def _text(text: str, style: str) -> Text:
+    from rich.text import Text  # noqa: PLC0415 - as above
+
+    return Text(text, style=style, no_wrap=True, overflow="ellipsis")
+
+
+def _urgency(container: ContainerView) -> tuple[bool, bool, str]:
+    is_troubled = bool(container.failed) or container.state in _TROUBLE
+    return not is_troubled, container.state is ContainerState.STOPPED, container.name

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _NAME_COLOURS: Final = tuple(f"\x1b[{code}m" for code in (36, 35, 34, 32, 96, 95, 94, 92))
 
 
-class Line(Struct, frozen=True):
+class DisplayLine(Struct, frozen=True):
     """One line to show."""
 
     stamp_ns: int
@@ -49,7 +49,7 @@ class Line(Struct, frozen=True):
     """The live view has the same content."""
 
 
-def line_of(event: RunEvent, before: SystemView, after: SystemView) -> Line | None:
+def line_of(event: RunEvent, before: SystemView, after: SystemView) -> DisplayLine | None:
     """Return the line for an event, given the view before and after it; most events have none."""
     is_progress = _is_progress(event, before, after)
     if is_progress is None:
@@ -62,7 +62,7 @@ def line_of(event: RunEvent, before: SystemView, after: SystemView) -> Line | No
     elif isinstance(event, NodeStateChanged) and event.state is NodeState.LOADED:
         container = after.containers[event.container]
         text += "" if event.reason else f" ({container.loaded}/{container.total})"
-    return Line(event.stamp_ns, source, text, level, is_progress)
+    return DisplayLine(event.stamp_ns, source, text, level, is_progress)
 
 
 def _is_progress(event: RunEvent, before: SystemView, after: SystemView) -> bool | None:
@@ -122,13 +122,13 @@ def _was_stopping(name: str, view: SystemView) -> bool:
     return process is not None and process.kind is ProcessEventKind.STOPPING
 
 
-def missed_line(missed: int) -> Line:
+def missed_line(missed: int) -> DisplayLine:
     """Make the line about skipped lines."""
     text = f"skipped {missed} lines (the terminal is too slow); they are in the recording"
-    return Line(time.time_ns(), OWN_NAME, text, WARN)
+    return DisplayLine(time.time_ns(), OWN_NAME, text, WARN)
 
 
-def format_lines(lines: Iterable[Line], *, times: bool, colour: bool) -> str:
+def format_lines(lines: Iterable[DisplayLine], *, times: bool, colour: bool) -> str:
     """Lay out lines, each with its source in front; every one ends in a line end.
 
     Node output is cleaned of what would disturb the terminal; a message of several lines gets the

@@ -18,30 +18,9 @@ from textual.binding import Binding, BindingType
 from textual.coordinate import Coordinate
 from textual.widgets import DataTable, Footer, Input, RichLog, Static
 
-from play_launch.cli.top.link import SessionLink
-from play_launch.cli.top.log import LINES_LIMIT, LeastLevel, LogFilter, RowLines, line_of, shown
+from play_launch.cli.top import model
+from play_launch.cli.top.link import POLL_INTERVAL, SessionLink
 from play_launch.cli.top.modals import STYLE, FilterPrompt, Help, Question
-from play_launch.cli.top.rows import (
-    OPERATIONS,
-    WIDTHS,
-    Confirmation,
-    Health,
-    Order,
-    Row,
-    RowId,
-    cells_of,
-    clean,
-    confirmation,
-    counted,
-    health,
-    matching,
-    name_of,
-    name_width,
-    ordered,
-    suits,
-    unavailable,
-    uptime,
-)
 from play_launch.control.protocol import OperationError
 
 if TYPE_CHECKING:
@@ -49,7 +28,6 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
-    from play_launch.cli.top.log import LogLine
     from play_launch.control.client import ControlClient
 
 _FRAME: Final = 0.1
@@ -79,7 +57,7 @@ class TopApp(App[ScreenEnd]):
     BINDINGS: ClassVar[list[BindingType]] = [
         *(
             Binding(key, f"operate('{operation}')", operation, priority=True)
-            for operation, (key, _) in OPERATIONS.items()
+            for operation, (key, _) in model.OPERATIONS.items()
         ),
         Binding("question_mark,h", "help", "help", key_display="?", priority=True),
         Binding("q", "quit", "quit", priority=True),
@@ -111,50 +89,39 @@ class TopApp(App[ScreenEnd]):
         self.hello = client.hello
         self._client = client
         self._link: SessionLink | None = None
-        self.rows: list[Row] | None = None
-        """All rows as declared; None until the session has answered."""
-        self._by_subject: dict[RowId, Row] = {}
-        self.shown: list[Row] = []
-        """The rows that match the pattern, in order."""
-        self._selected: RowId | None = None
-        self.order = Order.DECLARED
+        self.rows: list[model.Row] | None = None  # until the session has answered
+        self.shown: list[model.Row] = []
+        self._selected: model.RowId | None = None
+        self.order = model.Order.DECLARED
         self.is_reversed = False
         self.pattern = ""
-        self.log_filter = LogFilter()
-        self.lines: deque[LogLine] = deque(maxlen=LINES_LIMIT)
-        self._new_lines: deque[LogLine] = deque(maxlen=_BATCH)
-        self._undrawn = 0
-        """Lines since the last update that did not fit into the batch."""
-        self._last = RowLines()
-        self._dropped = 0
-        """Lines older than the kept ones."""
-        self._missed = 0
-        """Events that the session could not send in time."""
+        self.log_filter = model.LogFilter()
+        self.lines: deque[model.LogLine] = deque(maxlen=model.LINES_LIMIT)
+        self._new_lines: deque[model.LogLine] = deque(maxlen=_BATCH)
+        self._undrawn = 0  # lines since the last update that did not fit into the batch
+        self._last = model.RowLines()
+        self._dropped = 0  # lines older than the kept ones
+        self._missed = 0  # events that the session could not send in time
         self._follows_log = True
-        """Whether the log scrolls to its newest line."""
         self._message = ""
         self._is_stale = True
         self._layout: tuple[int, int] = (0, 0)
-        self._drawn: list[tuple[RowId, list[Text]]] = []
+        self._drawn: list[tuple[model.RowId, list[Text]]] = []
         self._footer: tuple[object, ...] = ()
 
     def compose(self) -> ComposeResult:
         self._head, self._detail = Static(id="head", markup=False), Static(id="detail")
         self._table: DataTable[Text] = DataTable(id="table", cursor_type="row", cell_padding=0)
         self._log_title = Static(id="log-title", markup=False)
-        self.log_view = RichLog(id="log", max_lines=LINES_LIMIT, min_width=0, wrap=True)
+        self.log_view = RichLog(id="log", max_lines=model.LINES_LIMIT, min_width=0, wrap=True)
         yield from (self._head, self._table, self._detail, self._log_title, self.log_view)
         yield Footer(compact=True)
 
     def on_mount(self) -> None:
         self._link = SessionLink(self._client, self)
-        self._link.begin()
-        self.set_interval(_FRAME, self._draw_if_stale)
+        self.set_interval(POLL_INTERVAL, self._link.poll)
+        self.set_interval(_FRAME, lambda: self._draw() if self._is_stale else None)
         self.set_interval(1.0, self._tick)
-
-    def _draw_if_stale(self) -> None:
-        if self._is_stale:
-            self._draw()
 
     def on_unmount(self) -> None:
         if self._link is not None:
@@ -176,17 +143,16 @@ class TopApp(App[ScreenEnd]):
 
     # Messages of the session.
 
-    def on_rows(self, rows: Sequence[Row]) -> None:
+    def on_rows(self, rows: Sequence[model.Row]) -> None:
         """Show the rows of an answer to ``ps``."""
         self.rows = list(rows)
-        self._by_subject = {row.subject: row for row in rows}
         self._last.declare(rows)
         self._arrange()
 
     def on_line(self, event: Mapping[str, Any]) -> None:
         """Show a line; raises KeyError, TypeError, ValueError."""
-        line = line_of(event)
-        self._dropped += len(self.lines) == LINES_LIMIT
+        line = model.line_of(event)
+        self._dropped += len(self.lines) == model.LINES_LIMIT
         self.lines.append(line)
         self._last.add(line)
         if self.log_filter.wants(line):
@@ -197,15 +163,14 @@ class TopApp(App[ScreenEnd]):
     def on_missed(self, events: int) -> None:
         """Count events that were not sent."""
         self._missed += events
-        self._is_stale = True
 
-    def on_outcome(self, done: Confirmation, failure: str) -> None:
+    def on_outcome(self, done: model.Confirmation, failure: str) -> None:
         """Show the outcome of an operation; no failure: it succeeded."""
-        name = clean(done.subject.name)
+        name = model.clean(done.subject.name)
         self._show_message(
-            f"{done.operation} {name} failed: {clean(failure)}"
+            f"{done.operation} {name} failed: {model.clean(failure)}"
             if failure
-            else f"{name}: {OPERATIONS[done.operation][1]}"
+            else f"{name}: {model.OPERATIONS[done.operation][1]}"
         )
 
     def on_end(self, reason: str) -> None:
@@ -220,7 +185,7 @@ class TopApp(App[ScreenEnd]):
             # pop_screen is the action of the help itself.
             return action == "pop_screen"
         if action == "operate":
-            return self.selected is not None and suits(str(parameters[0]), self.selected)
+            return self.selected is not None and model.suits(str(parameters[0]), self.selected)
         return super().check_action(action, parameters)
 
     async def action_quit(self) -> None:
@@ -249,7 +214,7 @@ class TopApp(App[ScreenEnd]):
         self._draw()
 
     def action_sort(self) -> None:
-        self.order, self.is_reversed = self.order.next(), False
+        self.order, self.is_reversed = model.following(self.order), False
         self._arrange()
 
     def action_reverse(self) -> None:
@@ -262,7 +227,7 @@ class TopApp(App[ScreenEnd]):
         self._filter_log(replace(self.log_filter, subject=subject))
 
     def action_next_level(self) -> None:
-        self._filter_log(replace(self.log_filter, level=self.log_filter.level.next()))
+        self._filter_log(replace(self.log_filter, level=model.following(self.log_filter.level)))
 
     def action_show_all(self) -> None:
         self._message = ""
@@ -282,10 +247,7 @@ class TopApp(App[ScreenEnd]):
     def action_operate(self, operation: str) -> None:
         row = self.selected
         assert row is not None
-        if reason := unavailable(operation, row, self._by_subject):
-            self._show_message(reason)
-            return
-        asked = confirmation(operation, row, self._by_subject.values())
+        asked = model.confirmation(operation, row, self.rows or ())
 
         def answered(answer: bool | None) -> None:
             if not answer or self._link is None:
@@ -295,7 +257,7 @@ class TopApp(App[ScreenEnd]):
             except OperationError as error:
                 self.on_outcome(asked, str(error))
             else:
-                self._show_message(f"{operation} {clean(row.name)}: in progress")
+                self._show_message(f"{operation} {model.clean(row.name)}: in progress")
 
         self.push_screen(Question(asked.question), answered)
 
@@ -307,7 +269,7 @@ class TopApp(App[ScreenEnd]):
     # State.
 
     @property
-    def selected(self) -> Row | None:
+    def selected(self) -> model.Row | None:
         """The selected row."""
         return self.shown[self._index()] if self.shown else None
 
@@ -322,12 +284,12 @@ class TopApp(App[ScreenEnd]):
         return max(0, min(self._table.cursor_row, len(self.shown) - 1))
 
     def _arrange(self) -> None:
-        chosen = matching(self.rows or (), self.pattern)
-        self.shown = ordered(chosen, self.order, is_reversed=self.is_reversed)
+        chosen = model.matching(self.rows or (), self.pattern)
+        self.shown = model.ordered(chosen, self.order, is_reversed=self.is_reversed)
         self._selected = self.selected.subject if self.selected else None
         self._draw()
 
-    def _filter_log(self, wanted: LogFilter) -> None:
+    def _filter_log(self, wanted: model.LogFilter) -> None:
         self.log_filter = wanted
         self._write_log_again()
         self._draw()
@@ -347,19 +309,17 @@ class TopApp(App[ScreenEnd]):
         self._follows_log = True
         self._new_lines.clear()
         self._undrawn = 0
-        if found := [shown(line) for line in self.lines if self.log_filter.wants(line)]:
+        if found := [model.shown(line) for line in self.lines if self.log_filter.wants(line)]:
             self.log_view.write(Text("\n").join(found))
 
     def _draw(self) -> None:
         self._is_stale = False
         self._head.update(self._head_text())
         self._draw_table()
-        row = self.selected
-        detail = self._message or (self._row_text(row) if row else self._empty_text())
-        self._detail.update(Text(detail))
+        self._detail.update(Text(self._detail_text()))
         self._detail.set_class(bool(self._message), "-message")
         if self._new_lines:
-            text = Text("\n").join(map(shown, self._new_lines))
+            text = Text("\n").join(map(model.shown, self._new_lines))
             if self._undrawn:
                 missing = f"({self._undrawn} lines not drawn; l, or choosing a row, draws all)\n"
                 text = Text(missing).append_text(text)
@@ -368,6 +328,7 @@ class TopApp(App[ScreenEnd]):
             self._new_lines.clear()
         self._log_title.update(Text(self._log_title_text()))
         self._log_title.set_class(self._is_in_log, "-focused")
+        row = self.selected
         footer = (row and (row.kind, row.state), len(self.screen_stack))
         if footer != self._footer:
             self._footer = footer
@@ -376,19 +337,19 @@ class TopApp(App[ScreenEnd]):
     def _draw_table(self) -> None:
         table = self._table
         width = table.size.width
-        is_tree = self.order is Order.DECLARED and not self.is_reversed
-        names = [name_of(row, is_tree=is_tree) for row in self.shown]
-        name_cells = name_width(names, width)
+        is_tree = self.order is model.Order.DECLARED and not self.is_reversed
+        names = [model.name_of(row, is_tree=is_tree) for row in self.shown]
+        name_cells, last = model.name_width(names, width), self._last.last
         drawn = [
-            (row.subject, cells_of(row, name, name_cells, self._last.of(row.subject)))
+            (row.subject, model.cells_of(row, name, name_cells, last.get(row.subject, "")))
             for row, name in zip(self.shown, names, strict=True)
         ]
         if self._layout != (width, name_cells):
             self._layout = width, name_cells
             self._drawn = []
             table.clear(columns=True)
-            rest = max(width - name_cells - sum(WIDTHS.values()), 12)
-            for title, size in {"NAME": name_cells, **WIDTHS, " LAST LINE": rest}.items():
+            rest = max(width - name_cells - sum(model.WIDTHS.values()), 12)
+            for title, size in {"NAME": name_cells, **model.WIDTHS, " LAST LINE": rest}.items():
                 is_figure = title not in {"NAME", "STATE", " LAST LINE"}
                 table.add_column(Text(title, justify="right" if is_figure else "left"), width=size)
         if [subject for subject, _ in drawn] == [subject for subject, _ in self._drawn]:
@@ -407,42 +368,45 @@ class TopApp(App[ScreenEnd]):
 
     def _head_text(self) -> Text:
         assert self._link is not None
-        text = Text(f"{clean(self.hello.name)} (pid {self.hello.pid})  ")
+        text = Text(f"{model.clean(self.hello.name)} (pid {self.hello.pid})  ")
         if self._link.silence >= _SHOWN_SILENCE:
             return text.append(f"no answer for {self._link.silence:.0f} s", "red")
         if self.rows is None:
             return text.append("connecting")
-        text.append(f"up {uptime(time.time() - self.hello.started_ns / 1e9)}  ")
-        has_failed = any(health(row) is Health.FAILED for row in self.rows)
-        text.append(counted(self.rows), "red" if has_failed else "")
+        text.append(f"up {model.uptime(time.time() - self.hello.started_ns / 1e9)}  ")
+        has_failed = any(model.health(row) is model.Health.FAILED for row in self.rows)
+        text.append(model.counted(self.rows), "red" if has_failed else "")
         if self.pattern:
-            text.append(f"; {len(self.shown)} with {clean(self.pattern)!r}")
-        if self.order is not Order.DECLARED or self.is_reversed:
-            order = self.order if self.order is Order.DECLARED else f"by {self.order}"
+            text.append(f"; {len(self.shown)} with {model.clean(self.pattern)!r}")
+        if self.order is not model.Order.DECLARED or self.is_reversed:
+            order = self.order if self.order is model.Order.DECLARED else f"by {self.order}"
             text.append(f"; {order}{', reversed' if self.is_reversed else ''}")
         return text
 
-    def _row_text(self, row: Row) -> str:
+    def _detail_text(self) -> str:
+        if self._message or self.rows is None:
+            return self._message
+        if not self.rows:
+            return "nothing is declared"
+        row = self.selected
+        if row is None:
+            return f"no name matches {model.clean(self.pattern)!r}"
         end = f"exit code {row.exit_code}" if row.exit_code else ""
         end = f"ended by signal {row.signal}" if row.signal else end
-        parts = (clean(row.subject.target), clean(row.kind), end, clean(row.reason))
-        return ", ".join(part for part in parts if part)
-
-    def _empty_text(self) -> str:
-        if self.rows is None:
-            return ""
-        return f"no name matches {clean(self.pattern)!r}" if self.rows else "nothing is declared"
+        parts = (row.subject.target, row.kind, end, row.reason)
+        return ", ".join(model.clean(part) for part in parts if part)
 
     def _log_title_text(self) -> str:
         chosen = self.log_filter
-        parts = ["LOG of all" if chosen.subject is None else f"LOG of {clean(chosen.subject.name)}"]
-        if chosen.level is not LeastLevel.ALL:
+        name = "all" if chosen.subject is None else model.clean(chosen.subject.name)
+        parts = [f"LOG of {name}"]
+        if chosen.level is not model.LeastLevel.ALL:
             parts.append(f"{chosen.level.name.lower()} and above")
         below = int(self.log_view.max_scroll_y - self.log_view.scroll_y)
         if below > 0 and not self._follows_log:
             parts.append(f"{below} lines below")
         if self._dropped:
-            parts.append(f"{self._dropped} older than the last {LINES_LIMIT:,} kept")
+            parts.append(f"{self._dropped} older than the last {model.LINES_LIMIT:,} kept")
         if self._missed:
             parts.append(f"{self._missed} missed")
         return ", ".join(parts)

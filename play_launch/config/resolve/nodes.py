@@ -132,7 +132,7 @@ class NodeNames:
         return join_full_name(namespace or "/", f"[{what}{suffix}]")
 
 
-class Context(Struct, frozen=True):
+class SharedContext(Struct, frozen=True):
     """What all nodes of one configuration share."""
 
     files: ParameterFileReader
@@ -153,7 +153,7 @@ def _own(section: Section, config: type[Struct], at: Cursor) -> dict[str, Any]:
     return given
 
 
-def resolve_container(at: Cursor, shared: Context, policy: Policy) -> ContainerConfig | None:
+def resolve_container(at: Cursor, shared: SharedContext, policy: Policy) -> ContainerConfig | None:
     """Return the container at `at`, None after problems; `policy` is that of all containers."""
     section = validate_mapping(ContainerSection, at)
     if not isinstance(at.node, Mapping):
@@ -208,7 +208,7 @@ def resolve_container(at: Cursor, shared: Context, policy: Policy) -> ContainerC
 
 
 def _composable_nodes(
-    at: Cursor, shared: Context, policy: Policy, container: str, kind: ContainerType | None
+    at: Cursor, shared: SharedContext, policy: Policy, container: str, kind: ContainerType | None
 ) -> tuple[ComposableNodeConfig, ...]:
     items = items_of(at.value("composable_nodes"), "composable nodes")
     nodes = [_composable_node(item, shared, policy, container, kind) for item in items]
@@ -216,7 +216,7 @@ def _composable_nodes(
 
 
 def _composable_node(
-    at: Cursor, shared: Context, policy: Policy, container: str, kind: ContainerType | None
+    at: Cursor, shared: SharedContext, policy: Policy, container: str, kind: ContainerType | None
 ) -> ComposableNodeConfig | None:
     """Return the composable node at `at`, None after problems; `policy` is its container's.
 
@@ -261,7 +261,7 @@ def _composable_node(
     return ComposableNodeConfig(**values)
 
 
-def resolve_process(at: Cursor, shared: Context) -> ProcessConfig | None:
+def resolve_process(at: Cursor, shared: SharedContext) -> ProcessConfig | None:
     """Return the process at `at`, or None after problems were reported."""
     section = validate_mapping(ProcessSection, at)
     if not isinstance(at.node, Mapping):

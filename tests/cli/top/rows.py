@@ -6,7 +6,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from play_launch.cli.top.rows import Row
+from play_launch.cli.top.model import Row
 from play_launch.supervisor.events import ContainerState, NodeState
 
 STATES = sorted(

@@ -4,20 +4,22 @@ from typing import Any
 
 import pytest
 
-from play_launch.cli.top.log import (
+from play_launch.cli.top.model import (
     OWN_NAME,
     LeastLevel,
     LogFilter,
     LogLine,
+    RowId,
     RowLines,
     line_of,
 )
-from play_launch.cli.top.rows import RowId
 from tests.cli.top.rows import node, row
 
 
-def output(text: str, process: str = "/chat", stream: str = "stdout") -> dict[str, Any]:
-    return {"event": "output", "stamp_ns": 7, "process": process, "text": text, "stream": stream}
+def event(
+    text: str, kind: str = "output", source: str = "/chat", level: int = 20
+) -> dict[str, Any]:
+    return {"event": kind, "stamp_ns": 7, "source": source, "text": text, "level": level}
 
 
 def line(text: str, *, level: int = 20, process: str = "/chat", logger: str = "") -> LogLine:
@@ -25,23 +27,19 @@ def line(text: str, *, level: int = 20, process: str = "/chat", logger: str = ""
 
 
 @pytest.mark.parametrize(
-    ("event", "expected"),
+    ("received", "expected"),
     [
-        (output("plain"), LogLine(7, 20, "/chat", "", "plain")),
-        (output("plain", stream="stderr"), LogLine(7, 30, "/chat", "", "plain")),
+        (event("plain"), LogLine(7, 20, "/chat", "", "plain")),
         (
-            output("[ERROR] [17.5] [ns.talker.sub]: it\tis"),
+            event("[ERROR] [17.5] [ns.talker.sub]: it\tis", level=40),
             LogLine(7, 40, "/chat", "ns.talker.sub", "it is"),
         ),
-        (output("\x1b[33m[WARN] [1.0] [a]: w\x1b[0m"), LogLine(7, 30, "/chat", "a", "w")),
-        (
-            {"event": "log", "stamp_ns": 7, "level": 40, "message": "b\x1b[2Jad"},
-            LogLine(7, 40, OWN_NAME, "", "bad"),
-        ),
+        (event("\x1b[33m[WARN] [1.0] [a]: w\x1b[0m"), LogLine(7, 20, "/chat", "a", "w")),
+        (event("b\x1b[2Jad", "log", OWN_NAME, 40), LogLine(7, 40, OWN_NAME, "", "bad")),
     ],
 )
-def test_lines_are_read_from_events(event: dict[str, Any], expected: LogLine) -> None:
-    assert line_of(event) == expected
+def test_lines_are_read_from_events(received: dict[str, Any], expected: LogLine) -> None:
+    assert line_of(received) == expected
 
 
 @pytest.mark.parametrize(
@@ -68,10 +66,6 @@ def test_lines_are_chosen_by_node_and_level(wanted: LogFilter, texts: list[str])
     assert [each.text for each in lines if wanted.wants(each)] == texts
 
 
-def test_levels_follow_each_other_in_a_circle() -> None:
-    assert [level.next() for level in LeastLevel] == [*list(LeastLevel)[1:], LeastLevel.ALL]
-
-
 def test_every_row_has_its_last_line() -> None:
     last = RowLines()
     rows = [row("/chat"), node("/ns/talker", "/chat"), node("/ns", "/chat"), row("/other")]
@@ -85,9 +79,9 @@ def test_every_row_has_its_last_line() -> None:
         line("own", process=OWN_NAME),
     ):
         last.add(each)
-    assert [last.of(each.subject) for each in rows] == [
+    assert [last.last.get(each.subject, "") for each in rows] == [
         "of no node", "of a logger below", "of the outer", "",
     ]  # fmt: skip
     last.declare(rows[:1])
-    assert last.of(rows[1].subject) == ""
-    assert last.of(RowId(None, "/else")) == "", "what is not declared is not kept"
+    assert rows[1].subject not in last.last
+    assert RowId(None, "/else") not in last.last, "what is not declared is not kept"

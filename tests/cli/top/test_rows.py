@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from play_launch.cli.top.rows import (
+from play_launch.cli.top.model import (
     Health,
     Order,
     Row,
@@ -88,13 +88,6 @@ def test_sorting_loses_nothing_and_settles(
         assert is_known == sorted(is_known, reverse=True)
 
 
-def test_orders_follow_each_other_in_a_circle() -> None:
-    seen = [Order.DECLARED]
-    while (following := seen[-1].next()) is not Order.DECLARED:
-        seen.append(following)
-    assert seen == list(Order)
-
-
 @pytest.mark.parametrize(
     ("pattern", "names"),
     [
@@ -113,13 +106,6 @@ def test_orders_follow_each_other_in_a_circle() -> None:
 def test_rows_are_chosen_by_name(pattern: str, names: list[str]) -> None:
     rows = [row("/chat"), node("/talker", "/chat"), row("/sensing/Camera", kind="process")]
     assert [each.name for each in matching(rows, pattern)] == names
-
-
-@settings(max_examples=25)
-@given(systems(), st.text(max_size=20))
-def test_choosing_keeps_the_order(rows: list[Row], pattern: str) -> None:
-    chosen = matching(rows, pattern)
-    assert chosen == [each for each in rows if each in chosen]
 
 
 def test_a_system_is_summed_up() -> None:

@@ -185,7 +185,7 @@ def test_a_run_is_recorded_in_numbers(tmp_path: Path) -> None:
 
 
 def test_json_has_null_for_what_is_not_a_number() -> None:
-    from play_launch.cli.show.styles import encode
+    from play_launch.cli.show.display import encode
     from play_launch.control.event_words import event_object
 
     values = dict.fromkeys(SystemSample.__annotations__, float("nan"))

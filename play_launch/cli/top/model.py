@@ -1,21 +1,23 @@
-"""Rows of the table: their state, order, filter by name, cells, and the operations on them."""
+"""Rows of the table with the operations on them, and lines of the log."""
 
 from __future__ import annotations
 
-from enum import Enum, StrEnum
+from enum import Enum, IntEnum, StrEnum
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import msgspec
 from msgspec import Struct
 from rich.cells import cell_len, set_cell_size
 from rich.text import Text
 
-from play_launch.cli.output import duration, printable, size
+from play_launch.cli.output import clock, duration, printable, size
+from play_launch.control.feed import CONSOLE_FORMAT, logger_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
+_Choice = TypeVar("_Choice", bound=Enum)
 COMPONENT: Final = "component"
 TEXT_LIMIT: Final = 2000
 """Characters of a text that are kept; a line of output may have a million."""
@@ -114,10 +116,11 @@ class Order(StrEnum):
     RESTARTS = "restarts"
     UPTIME = "uptime"
 
-    def next(self) -> Order:
-        """The following order, in a circle."""
-        orders = list(Order)
-        return orders[(orders.index(self) + 1) % len(orders)]
+
+def following(choice: _Choice) -> _Choice:
+    """Return the next member of an enumeration, in a circle."""
+    members = list(type(choice))
+    return members[(members.index(choice) + 1) % len(members)]
 
 
 _KEYS: Final[dict[Order, Callable[[Row], Any]]] = {
@@ -229,15 +232,6 @@ OPERATIONS: Final = {
 }
 """Key and participle of each."""
 _FOR_NODES: Final = frozenset({"reload", "unload", "load"})
-_NO_EFFECT: Final = {
-    "start": frozenset({"starting", "running", "pending", "waiting", "stopping", "killing"}),
-    "stop": frozenset({"stopped", "stopping", "exited", "gave up"}),
-    "restart": frozenset({"stopping", "killing", "pending", "waiting"}),
-    "load": frozenset({"requested", "loading", "loaded", "unloading"}),
-    "unload": frozenset({"unloaded", "unloading"}),
-    "reload": frozenset({"pending", "unloading"}),
-}
-"""States in which an operation changes nothing; in others, the session decides."""
 
 
 class Confirmation(Struct, frozen=True):
@@ -253,18 +247,6 @@ def suits(operation: str, row: Row) -> bool:
     return (operation in _FOR_NODES) == (row.kind == COMPONENT)
 
 
-def unavailable(operation: str, row: Row, rows: Mapping[RowId, Row]) -> str:
-    """Reason why an operation has no effect on a row; empty: it has."""
-    name = clean(row.name)
-    if row.state in _NO_EFFECT[operation]:
-        return f"{name} is {row.state}: nothing to {operation}"
-    container = rows.get(RowId(None, row.container or ""))
-    if operation in {"load", "reload"} and container and container.state in {"stopped", "gave up"}:
-        of = clean(container.name)
-        return f"{of} is {container.state}, so {name} cannot be loaded: start {of} first"
-    return ""
-
-
 def confirmation(operation: str, row: Row, rows: Iterable[Row]) -> Confirmation:
     """Make the question about an operation, with the nodes that it affects besides."""
     loaded = sum(row.name == each.container and each.state == "loaded" for each in rows)
@@ -274,3 +256,107 @@ def confirmation(operation: str, row: Row, rows: Iterable[Row]) -> Confirmation:
         impact = f" Its {nodes} will be {'unloaded' if operation == 'stop' else 'reloaded'}."
     question = f"{operation} {clean(row.name)}?{impact}"
     return Confirmation(operation, row.subject, question)
+
+
+# The log.
+
+LINES_LIMIT: Final = 5000
+"""Lines that are kept."""
+OWN_NAME: Final = "play-launch"
+
+
+class LeastLevel(IntEnum):
+    """Least severity of the shown lines, as in ``rcl_interfaces/Log``."""
+
+    ALL = 0
+    INFO = 20
+    WARN = 30
+    ERROR = 40
+    FATAL = 50
+
+
+class LogLine(Struct, frozen=True):
+    """One line of output or of the supervisor's log."""
+
+    stamp_ns: int
+    level: int
+    process: str
+    """Full name of the container or process; `OWN_NAME` for the supervisor's log."""
+    logger: str
+    """Logger of ROS; empty if the line does not name one."""
+    text: str
+    """Clean, without what is in the other fields."""
+
+
+def line_of(event: Mapping[str, Any]) -> LogLine:
+    """Parse an event of kind output or log; raises KeyError, TypeError, ValueError."""
+    text = str(event["text"])
+    found = CONSOLE_FORMAT.match(text) if event["event"] == "output" else None
+    logger, message = (clean(found[1]), text[found.end() :]) if found else ("", text)
+    source = str(event["source"])
+    return LogLine(int(event["stamp_ns"]), int(event["level"]), source, logger, clean(message))
+
+
+class LogFilter(Struct, frozen=True):
+    """Which lines are shown."""
+
+    level: LeastLevel = LeastLevel.ALL
+    subject: RowId | None = None
+    """None: lines of all, the supervisor included."""
+
+    def wants(self, line: LogLine) -> bool:
+        """Whether a line is shown."""
+        if line.level < self.level:
+            return False
+        if self.subject is None:
+            return True
+        container, name = self.subject
+        if container is None:
+            return line.process == name
+        own = logger_of(name)
+        is_own = line.logger == own or line.logger.startswith(f"{own}.")
+        return line.process == container and is_own
+
+
+_LETTERS: Final = {10: "D", 20: "I", 30: "W", 40: "E", 50: "F"}
+_STYLES: Final = {30: "yellow", 40: "bold red", 50: "bold red"}
+
+
+def shown(line: LogLine) -> Text:
+    """Format a line: time of day, severity, source, text."""
+    source = line.logger or clean(line.process)
+    text = (
+        f"{clock(line.stamp_ns, '%H:%M:%S')} {_LETTERS.get(line.level, '?')} {source}: {line.text}"
+    )
+    return Text(text, _STYLES.get(line.level, ""))
+
+
+class RowLines:
+    """The last line of output of each row; `last` holds them."""
+
+    def __init__(self) -> None:
+        self._owners: dict[tuple[str, str], RowId] = {}
+        self.last: dict[RowId, str] = {}
+
+    def declare(self, rows: Iterable[Row]) -> None:
+        """Set the rows; lines of other ones are forgotten."""
+        subjects = {row.subject for row in rows}
+        self._owners = {
+            (row.container or "", logger_of(row.name)): row.subject
+            for row in rows
+            if row.kind == COMPONENT
+        }
+        self.last = {subject: text for subject, text in self.last.items() if subject in subjects}
+
+    def add(self, line: LogLine) -> None:
+        """Add a line; it belongs to its process and to the node of its logger or one above."""
+        if line.process == OWN_NAME:
+            return
+        self.last[RowId(None, line.process)] = line.text
+        name = line.logger
+        while name:
+            owner = self._owners.get((line.process, name))
+            if owner is not None:
+                self.last[owner] = line.text
+                return
+            name = name.rpartition(".")[0]
