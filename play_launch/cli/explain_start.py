@@ -10,30 +10,40 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from play_launch.config.model import ContainerConfig
+from play_launch.container.channel import CONTROL_FD_VARIABLE
+from play_launch.container.command import (
+    ExecutableNotFoundError,
+    ParameterFileError,
+    parameter_file_of,
+)
 from play_launch.container.environment import caller_environment, child_environment
 from play_launch.container.ros import component_container, ros_installation, topic_recorder
+from play_launch.process.kin import MEMBER_VARIABLE, mark_for
 from play_launch.process.program import SpawnError, check_program
 from play_launch.recording.facts import REDACTED, is_secret
 from play_launch.recording.resolved_form import taken_secrets, without
 from play_launch.recording.topic_recorder.supervision import recorder_argv
 from play_launch.runtime.commands import (
-    DESCRIPTOR,
     Command,
     Machine,
-    Start,
     allocator_for,
+    container_command,
     is_own,
+    process_command,
     shares_memory,
-    survey,
 )
 from play_launch.runtime.prestart import SWITCH
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
 
-    from play_launch.config.model import ReplayConfig
+    from play_launch.config.model import ProcessConfig, ReplayConfig
 
 _RECORDER: Final = "topic recorder"
+_PARAMETER_FILE: Final = Path("(parameter file)")
+"""Stands in a command line for the file, which is written for each run."""
+_DESCRIPTOR: Final = "(descriptor)"
+"""Stands for the number of a descriptor that the process inherits."""
 
 
 class _Process(NamedTuple):
@@ -55,9 +65,12 @@ def processes(config: ReplayConfig) -> list[dict[str, Any]]:
     machine = Machine(ros, container, os.environ, allocator_for(config).library)
     caller = caller_environment(os.environ, ros)
     secrets = taken_secrets(config)
-    found = [_member(start) for start in survey(config, machine)]
+    attached = {each.full_name for each in config.containers if each.attach}
+    members: tuple[ContainerConfig | ProcessConfig, ...] = (*config.containers, *config.nodes)
+    started = (each for each in members if each.full_name not in attached)
+    found = [_member(each, machine, config.stop.ask) for each in started]
     if config.record.ros:
-        argv = recorder_argv(recorder, config.record, DESCRIPTOR, "(clock)")
+        argv = recorder_argv(recorder, config.record, _DESCRIPTOR, "(clock)")
         environment = child_environment(os.environ, ros, config.environment)
         found.append(_Process("", _RECORDER, "", Command(argv, environment)))
     return [_values(process, caller, secrets) for process in found]
@@ -96,17 +109,27 @@ def as_text(
     return "\n".join([text, *commands, *own])
 
 
-def _member(start: Start) -> _Process:
-    config = start.config
+def _member(config: ContainerConfig | ProcessConfig, machine: Machine, ask: float) -> _Process:
     kind = "container" if isinstance(config, ContainerConfig) else "process"
     process = _Process(config.full_name, kind, f"{config.file}:{config.line}", None)
-    if isinstance(start.command, str):
-        return process._replace(problem=start.command)
     try:
-        check_program(start.command.argv, start.command.environment, start.command.cwd)
+        text = parameter_file_of(config)
+        file = None if text is None else _PARAMETER_FILE
+        if isinstance(config, ContainerConfig):
+            command = container_command(config, machine, file, ask=ask)
+        else:
+            command = process_command(config, machine, file)
+    except (ParameterFileError, ExecutableNotFoundError, ValueError) as error:
+        return process._replace(problem=str(error))
+    variables = {MEMBER_VARIABLE: mark_for("(pid)", config.full_name)}
+    if isinstance(config, ContainerConfig) and is_own(config):
+        variables[CONTROL_FD_VARIABLE] = _DESCRIPTOR
+    command = command.with_variables(variables)
+    try:
+        check_program(command.argv, command.environment, command.cwd)
     except SpawnError as error:
         process = process._replace(problem=str(error))
-    return process._replace(command=start.command, parameter_file=start.parameter_file)
+    return process._replace(command=command, parameter_file=text)
 
 
 def _values(

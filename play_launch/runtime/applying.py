@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.config.node_key import NodeKey
 from play_launch.runtime.commands import StartError
-from play_launch.runtime.sources import Sources
 from play_launch.supervisor.change import declared
 from play_launch.supervisor.inputs import ChangeRequested, ParametersSet
 from play_launch.supervisor.plan import Applied, Kind, Need, Result, StepOutcome, after, plan
@@ -43,8 +42,6 @@ class Applying:
     def __init__(self, system: System, parameters: ParameterSetter) -> None:
         self._system = system
         self._parameters = parameters
-        self._sources = Sources(lambda error: _log.error("%s", error, exc_info=error))
-        self._sources.run_in(system.sources.tasks)
         self._outcomes: list[StepOutcome] = []
         self._on_outcome: Callable[[StepOutcome], None] = _ignore
         self._target = system.config
@@ -164,7 +161,7 @@ class Applying:
 
     def set_parameters(self, step: Step) -> None:
         """Set the parameters that a step names."""
-        self._sources.begin(partial(self._set, step))
+        self._system.begin_task(partial(self._set, step))
 
     async def _set(self, step: Step) -> None:
         prefix = "parameters."

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from play_launch.config.node_key import NodeKey
     from play_launch.container.messages import Incoming, Outgoing
     from play_launch.runtime.launcher import ControlLink, ManagedProcess
-    from play_launch.runtime.sources import Source
     from play_launch.runtime.system import System
     from play_launch.supervisor.world import Node
 
@@ -67,7 +66,7 @@ class ContainerActor(ProcessActor):
         self._dropped = 0
         """Frames that its process has dropped so far."""
         self._watch = ContainerWatch(name, clock=system.time, limits=system.watch_limits)
-        self._probes: list[Source] = []
+        self._probes: list[anyio.CancelScope] = []
 
     @property
     def config(self) -> ContainerConfig:
@@ -90,7 +89,8 @@ class ContainerActor(ProcessActor):
 
     def _has_started(self, start: int) -> None:
         assert self._link is not None
-        self._sources.begin(partial(self._listen, self._link, start, self._has_ended))
+        listen = partial(self._listen, self._link, start, self._has_ended)
+        self._listening = self._begin_task(listen)
 
     def _ask_to_stop(self, reason: str) -> bool:
         if self._link is None:
@@ -138,22 +138,21 @@ class ContainerActor(ProcessActor):
 
     async def _listen(self, link: ControlLink, start: int, has_ended: anyio.Event) -> None:
         """Post what the container sends, up to the end of the channel."""
-        with anyio.CancelScope() as self._listening:
-            try:
-                self._on_hello(await link.handshake(self._system.launcher.hello()), start)
-                while True:
-                    self._on_message(await link.receive(), start)
-            except VersionMismatchError as error:
-                self._fault(start, error, is_fatal=True)
-            except ChannelClosedError as error:
-                has_ended.set()
-                # The channel ends a moment before the process does.
-                await anyio.sleep(_EXIT_AFTER_CLOSE)
-                self._fault(start, error)
-            except ControlError as error:
-                self._fault(start, error)
-            finally:
-                has_ended.set()
+        try:
+            self._on_hello(await link.handshake(self._system.launcher.hello()), start)
+            while True:
+                self._on_message(await link.receive(), start)
+        except VersionMismatchError as error:
+            self._fault(start, error, is_fatal=True)
+        except ChannelClosedError as error:
+            has_ended.set()
+            # The channel ends a moment before the process does.
+            await anyio.sleep(_EXIT_AFTER_CLOSE)
+            self._fault(start, error)
+        except ControlError as error:
+            self._fault(start, error)
+        finally:
+            has_ended.set()
 
     def _fault(self, start: int, error: ControlError, *, is_fatal: bool = False) -> None:
         if not self._is_draining:
@@ -274,14 +273,13 @@ class ContainerActor(ProcessActor):
 
     def probe(self, nodes: Sequence[NodeKey]) -> None:
         """Load the libraries of nodes in scratch processes."""
-        self._probes = [each for each in self._probes if each.runs]
         probe = partial(probe_nodes, self._system, self.config, tuple(nodes))
-        self._probes.append(self._sources.begin(probe))
+        self._probes.append(self._begin_task(probe))
 
     def cancel_probes(self) -> None:
         """End the scratch processes."""
-        for source in self._probes:
-            source.cancel()
+        for scope in self._probes:
+            scope.cancel()
         self._probes.clear()
 
 

@@ -1,30 +1,62 @@
-"""External conditions: lines of output, files and the ROS graph that starts depend on."""
+"""What starts depend on besides processes: lines, files, the graph; and managed nodes."""
 
 from __future__ import annotations
 
 import asyncio
+import logging
 import os.path
 import re
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import anyio
 
 from play_launch.config.dependency import ABOUT_GRAPH, Condition
-from play_launch.supervisor.events import OutputLine
-from play_launch.supervisor.inputs import FilesSeen, GraphSeen, LineSeen
+from play_launch.supervisor.events import ManagedState, OutputLine
+from play_launch.supervisor.goals import ManagedAction
+from play_launch.supervisor.inputs import (
+    FilesSeen,
+    GoalReported,
+    GraphSeen,
+    LineSeen,
+    ManagedInput,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Callable, Iterable
 
     from play_launch.config.dependency import Dependency, StartRule
-    from play_launch.ros.access import RosAccess
     from play_launch.ros.graph_source import GraphSource
+    from play_launch.ros.managed_node import ManagedNodeClient
+    from play_launch.runtime.system import System
     from play_launch.supervisor.events import RunEvent
-    from play_launch.supervisor.inputs import Input
     from play_launch.supervisor.view import SystemView
+    from play_launch.supervisor.world import Goal
+
+_log = logging.getLogger(__name__)
 
 _FILE_POLL: Final = 0.1
 """Seconds between two checks of files that are waited for."""
+_INPUT_OF_STATE: Final = {
+    1: ManagedInput.IS_UNCONFIGURED,
+    2: ManagedInput.IS_INACTIVE,
+    3: ManagedInput.IS_ACTIVE,
+    4: ManagedInput.IS_FINALIZED,
+}
+"""By the numbers of ``lifecycle_msgs/msg/State``; the others are on the way between these."""
+_TRANSITIONS: Final = {
+    ManagedAction.CONFIGURE: (1, ManagedInput.IS_INACTIVE),
+    ManagedAction.ACTIVATE: (3, ManagedInput.IS_ACTIVE),
+}
+"""Numbers of ``lifecycle_msgs/msg/Transition``, and where they lead."""
+_UNDER_WAY: Final = {
+    ManagedState.CONFIGURING: ManagedAction.CONFIGURE,
+    ManagedState.ACTIVATING: ManagedAction.ACTIVATE,
+}
+_CHECKS: Final = (1.0, 2.0, 4.0, 8.0)
+"""Seconds between checks of an idle node. A state that it entered before DDS had
+connected its topic with us is never reported; that takes up to 3.3 s after its services exist,
+more on a busy machine."""
 
 
 class Outside:
@@ -33,15 +65,13 @@ class Outside:
     A line counts from when it was written; files and the graph count as they are now.
     """
 
-    def __init__(self, post: Callable[[Input], None], ros: Callable[[], RosAccess]) -> None:
-        """``ros`` is called when the graph is needed first."""
-        self._post = post
-        self._ros = ros
+    def __init__(self, system: System) -> None:
+        self._system = system
         self._graph: GraphSource | None = None
-        self._dependencies: tuple[Dependency, ...] = ()
-        self._watched: frozenset[tuple[Condition, str]] = frozenset()
         self._files: frozenset[str] = frozenset()
-        self._found: frozenset[str] = frozenset()
+        self._found_files: frozenset[str] = frozenset()
+        self._watched: frozenset[tuple[Condition, str]] = frozenset()
+        self._found_in_graph: frozenset[tuple[Condition, str]] = frozenset()
         self._written: set[tuple[str, str]] = set()
         self._patterns: dict[str, dict[str, re.Pattern[str]]] = {}
         self._more_files = asyncio.Event()
@@ -56,22 +86,20 @@ class Outside:
                     patterns = self._patterns.setdefault(each.unit, {})
                     patterns[each.subject] = re.compile(each.subject)
 
-    def watch(self, pending: tuple[Dependency, ...]) -> None:
-        """Watch the conditions of these dependencies only."""
-        if pending == self._dependencies:
-            return
-        self._dependencies = pending
-        files = frozenset(each.subject for each in pending if each.condition is Condition.FILE)
+    def watch(self, pending: Iterable[Dependency]) -> None:
+        """Watch the conditions of these dependencies only; others are forgotten."""
+        wanted = [(each.condition, each.subject) for each in pending]
+        files = frozenset(path for condition, path in wanted if condition is Condition.FILE)
         if files != self._files:
             self._files = files
             self._more_files.set()
-        watched = frozenset(
-            (each.condition, each.subject) for each in pending if each.condition in ABOUT_GRAPH
-        )
+            self._see_files(self._found_files & files)
+        watched = frozenset(each for each in wanted if each[0] in ABOUT_GRAPH)
         if watched != self._watched:
             self._watched = watched
+            self._see_graph(self._found_in_graph)
             if self._graph is None:
-                self._graph = self._ros().watch_graph(self._graph_changed)
+                self._graph = self._system.ros.watch_graph(self._see_graph)
             self._graph.watch(watched)
 
     async def run(self) -> None:
@@ -80,11 +108,20 @@ class Outside:
             await self._more_files.wait()
             self._more_files.clear()
             while self._files:
-                found = frozenset([path for path in self._files if await _exists(path)])
-                if found != self._found:
-                    self._found = found
-                    self._post(FilesSeen(found))
+                found = [path for path in self._files if await _exists(path)]
+                self._see_files(frozenset(found) & self._files)
                 await anyio.sleep(_FILE_POLL)
+
+    def _see_files(self, found: frozenset[str]) -> None:
+        if found != self._found_files:
+            self._found_files = found
+            self._system.post(FilesSeen(found))
+
+    def _see_graph(self, found: frozenset[tuple[Condition, str]]) -> None:
+        found &= self._watched
+        if found != self._found_in_graph:
+            self._found_in_graph = found
+            self._system.post(GraphSeen(found))
 
     async def close(self) -> None:
         """Cancel all watches."""
@@ -96,20 +133,127 @@ class Outside:
         if not isinstance(event, OutputLine) or event.process not in self._patterns:
             return
         patterns = self._patterns[event.process]
-        found = [text for text, pattern in patterns.items() if pattern.search(event.text)]
-        for text in found:
+        for text in [text for text, pattern in patterns.items() if pattern.search(event.text)]:
             del patterns[text]
             self._written.add((event.process, text))
-        if not patterns:
-            del self._patterns[event.process]
-        for text in found:
-            self._post(LineSeen(event.process, text))
-
-    def _graph_changed(self, found: Collection[tuple[Condition, str]]) -> None:
-        self._post(GraphSeen(frozenset(found)))
+            self._system.post(LineSeen(event.process, text))
 
 
 async def _exists(path: str) -> bool:
     """Whether a file can be seen; EACCES, EIO and the like count as no."""
     # A mount that does not answer must not hold up the stop.
     return await anyio.to_thread.run_sync(os.path.exists, path, abandon_on_cancel=True)
+
+
+class _Conversation:
+    """With one node instance."""
+
+    def __init__(self, instance: int, scope: anyio.CancelScope) -> None:
+        self.instance = instance
+        self.to_do: asyncio.Queue[ManagedAction] = asyncio.Queue()
+        self.scope = scope
+
+
+class Conversations:
+    """With managed (lifecycle) nodes: their states are inputs, transitions effects."""
+
+    def __init__(self, system: System) -> None:
+        self._system = system
+        self._open: dict[str, _Conversation] = {}
+
+    def begin(self, unit: str, instance: int) -> None:
+        """Begin a conversation with a node."""
+        self.end(unit)
+        scope = self._system.begin_task(partial(self._converse, unit))
+        self._open[unit] = _Conversation(instance, scope)
+
+    def transit(self, unit: str, instance: int, action: str) -> None:
+        """Request a transition."""
+        talk = self._open.get(unit)
+        if talk is not None and talk.instance == instance:
+            talk.to_do.put_nowait(ManagedAction(action))
+
+    def end(self, unit: str) -> None:
+        """End the conversation with a node, if there is one."""
+        talk = self._open.pop(unit, None)
+        if talk is not None:
+            talk.scope.cancel()
+
+    def _report(self, unit: str, talk: _Conversation, said: ManagedInput, reason: str = "") -> None:
+        if self._open.get(unit) is talk:
+            self._system.post(GoalReported(unit, talk.instance, said, reason))
+
+    async def _converse(self, unit: str) -> None:
+        """Drive one node instance; cancelled when the node exits.
+
+        An exception is a failure of this node, unless it is not managed any more.
+        """
+        goal, talk = self._system.world.goals[unit], self._open[unit]
+        try:
+            await self._talk(unit, goal, talk)
+        except Exception as error:  # noqa: BLE001 - the others go on
+            _log.warning("%s cannot be talked to: %s", goal.config.name, error)
+            self._report(unit, talk, ManagedInput.REFUSED, str(error))
+
+    async def _talk(self, unit: str, goal: Goal, talk: _Conversation) -> None:
+        """Request its state, and then one transition after the other."""
+        known: ManagedInput | None = None
+
+        def accept(state: int) -> None:
+            nonlocal known
+            said = _INPUT_OF_STATE.get(state)
+            if said is not None:
+                known = said
+                now = self._system.world.goals.get(unit, goal).state
+                under_way = _UNDER_WAY.get(now)
+                how = f"its transition {under_way} led to" if under_way else "it is in"
+                reason = f"{how} the state {said.removeprefix('is_')}"
+                self._report(unit, talk, said, reason)
+
+        def check(state: int) -> None:
+            # A transition that failed leads back to where it began, which is no news.
+            if _INPUT_OF_STATE.get(state) is not known:
+                accept(state)
+
+        name, limit = goal.config.name, goal.config.timeout
+        async with self._system.ros.managed_node(name, accept) as client:
+            with anyio.move_on_after(limit) as asking:
+                accept(await client.state())
+            if asking.cancelled_caught:
+                reason = (
+                    "its lifecycle services did not answer"
+                    if client.is_offered
+                    else f"the service {name}/get_state was not available"
+                )
+                reason = f"{reason} within {limit:g} s"
+                self._report(unit, talk, ManagedInput.OVERDUE, reason)
+            while True:
+                action = await _next_action(talk, client, check, limit)
+                said, reason = await _change(client, action, limit)
+                if said is _TRANSITIONS[action][1]:
+                    known = said
+                self._report(unit, talk, said, reason)
+
+
+async def _next_action(
+    talk: _Conversation, client: ManagedNodeClient, on_state: Callable[[int], None], limit: float
+) -> ManagedAction:
+    """Give the next action; check the state of an idle node a few times."""
+    for pause in _CHECKS:
+        with anyio.move_on_after(pause):
+            return await talk.to_do.get()
+        with anyio.move_on_after(limit):
+            on_state(await client.state())
+    return await talk.to_do.get()
+
+
+async def _change(
+    client: ManagedNodeClient, action: ManagedAction, limit: float
+) -> tuple[ManagedInput, str]:
+    """Request a transition and give it ``limit`` seconds; give its result, and why it failed."""
+    transition, leads_to = _TRANSITIONS[action]
+    with anyio.move_on_after(limit):
+        if await client.change(transition):
+            return leads_to, ""
+        return ManagedInput.REFUSED, f"its transition {action} failed"
+    return ManagedInput.OVERDUE, f"its transition {action} took longer than {limit:g} s"

@@ -12,12 +12,11 @@ from msgspec.structs import replace
 from play_launch.config.model import ProcessConfig
 from play_launch.runtime.commands import StartError
 from play_launch.runtime.publisher import report_shortfalls
-from play_launch.runtime.sources import Source, Sources
 from play_launch.supervisor.inputs import CleanedUp, Exited, NotStarted, Started, Unkillable
 from play_launch.supervisor.world import Exit, Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Awaitable, Callable, Sequence
 
     from play_launch.config.model import ContainerConfig
     from play_launch.process.exit import Exit as ProcessExit
@@ -38,13 +37,11 @@ class ProcessActor:
     def __init__(self, name: str, system: System) -> None:
         self.name = name
         self._system = system
-        self._sources = Sources(partial(system.fail, name))
-        self._sources.run_in(system.sources.tasks)
         self._process: ManagedProcess | None = None
         self._start = 0
-        self._spawning: anyio.CancelScope | None = None
-        self._is_given_up = False
-        self._companion = Source()
+        self._spawning = system.tasks.scope()
+        self._is_awaited = False
+        """Whether a task waits for the exit of its process."""
         self._stopped: anyio.Event | None = None
         self._was_killed = False
 
@@ -56,7 +53,7 @@ class ProcessActor:
     @property
     def is_deserted(self) -> bool:
         """Whether there is a process whose exit is not awaited."""
-        return self._process is not None and not self._companion.runs
+        return self._process is not None and not self._is_awaited
 
     @property
     def config(self) -> ContainerConfig | ProcessConfig:
@@ -68,18 +65,15 @@ class ProcessActor:
     def spawn(self, start: int) -> None:
         """Start its process."""
         self._start = start
-        # The scope is made in the task: outside of one, sniffio does not know the event loop.
-        self._spawning, self._is_given_up = None, False
-        self._sources.begin(partial(self._spawn, start))
+        self._spawning = self._system.tasks.scope()
+        self._begin_task(partial(self._spawn, start))
 
     def kill(self, start: int) -> None:
         """Kill its process, or give its start up, which is answered all the same."""
         if start != self._start:
             return
         if self._process is None:
-            self._is_given_up = True
-            if self._spawning is not None:
-                self._spawning.cancel()
+            self._spawning.cancel()
         else:
             self._stops()
             self._process.kill()
@@ -91,7 +85,11 @@ class ProcessActor:
         self._stops()
         ask = partial(self._ask_to_stop, reason) if asks else None
         self._stopped = anyio.Event()
-        self._sources.begin(partial(self._stop_in_order, self._process, start, ask, self._stopped))
+        self._begin_task(partial(self._stop_in_order, self._process, start, ask, self._stopped))
+
+    def _begin_task(self, work: Callable[[], Awaitable[None]]) -> anyio.CancelScope:
+        """Begin a task whose failure is that of the unit."""
+        return self._system.begin_task(work, self.name)
 
     # What a kind of process has to say.
 
@@ -144,9 +142,7 @@ class ProcessActor:
     async def _spawn(self, start: int) -> None:
         answer: Started | NotStarted
         answer = NotStarted(self.name, start, "its start was cancelled", is_permanent=False)
-        with anyio.CancelScope() as self._spawning:
-            if self._is_given_up:
-                self._spawning.cancel()
+        with self._spawning:
             try:
                 process = await self._begin()
             except StartError as error:
@@ -156,8 +152,8 @@ class ProcessActor:
                 answer = replace(answer, reason=str(error), is_permanent=True)
             else:
                 self._process = process
-                self._stopped = None
-                self._companion = self._sources.begin(partial(self._accompany, process, start))
+                self._stopped, self._is_awaited = None, True
+                self._begin_task(partial(self._accompany, process, start))
                 answer = Started(self.name, start, process.pid, process.start_time, process.argv)
         self._system.post(answer)
         if isinstance(answer, Started):
@@ -181,6 +177,7 @@ class ProcessActor:
                     await process.stop(ask=None, hurry=self._system.stop_requests.hurry)
             raise
         finally:
+            self._is_awaited = False
             self._let_go()
             if not self._system.world.processes[self.name].is_stuck:
                 try:

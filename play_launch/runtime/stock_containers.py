@@ -6,7 +6,7 @@ import asyncio
 import logging
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import anyio
 
@@ -16,11 +16,10 @@ from play_launch.container.ros import NotInstalledError
 from play_launch.process.exit import Exit
 from play_launch.ros.composition import CompositionClient
 from play_launch.ros.thread import RosThread
-from play_launch.runtime.sources import first_of
 from play_launch.runtime.stock_link import StockLink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Coroutine
 
     from play_launch.config.model import ContainerConfig, ReplayConfig
     from play_launch.runtime.launcher import ControlLink, ManagedProcess
@@ -74,7 +73,7 @@ class AttachedContainer:
         """Unload what was loaded by us, and let it go."""
         del ask
         with anyio.move_on_after(self._ask):
-            await first_of(self._link.unload_all(), hurry.wait(), self._link.ended.wait())
+            await _first_of(self._link.unload_all(), hurry.wait(), self._link.ended.wait())
         left = ", ".join(load.label for load in self._link.unfinished())
         if left and not self._link.ended.is_set():
             _log.warning("%s keeps %s: not unloaded in time", self._name, left)
@@ -86,6 +85,18 @@ class AttachedContainer:
             await self._link.services.ready()
         if waiting.cancelled_caught:
             _log.warning("waiting for %s: no container of that name is running", self._name)
+
+
+async def _first_of(*coroutines: Coroutine[Any, Any, object]) -> None:
+    """Wait until one of them has ended and cancel the others; an error is raised."""
+
+    async def one(coroutine: Coroutine[Any, Any, object]) -> None:
+        await coroutine
+        group.cancel_scope.cancel()
+
+    async with anyio.create_task_group() as group:
+        for coroutine in coroutines:
+            group.start_soon(one, coroutine)
 
 
 async def _follow(process: ManagedProcess, link: StockLink) -> None:

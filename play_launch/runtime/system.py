@@ -7,51 +7,28 @@ import logging
 import math
 import random
 from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import anyio
 
 from play_launch.runtime.container_actor import ContainerActor
-from play_launch.runtime.goals import Conversations
-from play_launch.runtime.outside import Outside
+from play_launch.runtime.outside import Conversations, Outside
 from play_launch.runtime.probes import LibraryProbes
 from play_launch.runtime.process_actor import ProcessActor
 from play_launch.runtime.publisher import EventLog
-from play_launch.runtime.sources import Sources, failure_reason
+from play_launch.runtime.tasks import Tasks
 from play_launch.runtime.watch import WATCH_LIMITS
-from play_launch.supervisor.conditions import has_ended, pending_dependencies, pending_units
+from play_launch.supervisor import inputs
+from play_launch.supervisor.conditions import awaited_dependencies, has_ended, pending_units
 from play_launch.supervisor.difference import NOTHING, Snapshot, events_between
 from play_launch.supervisor.events import REPORTED_LOGGER
-from play_launch.supervisor.inputs import (
-    Cancel,
-    CancelProbes,
-    ChangeEnded,
-    Drive,
-    End,
-    EndRequested,
-    Failed,
-    Kill,
-    Load,
-    Log,
-    Probe,
-    Query,
-    Raised,
-    Release,
-    SetParameters,
-    Spawn,
-    StartRequested,
-    Stop,
-    StopRequested,
-    Time,
-    Transit,
-    Unload,
-)
 from play_launch.supervisor.plan import StepOutcome
 from play_launch.supervisor.reducer import deadline, reduce
 from play_launch.supervisor.world import STATE_OF_PHASE, Limits, Phase, World, is_wanted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Awaitable, Callable
 
     from anyio.abc import TaskGroup
 
@@ -110,9 +87,9 @@ class System:
         self._changed = asyncio.Event()
         self._actors: dict[str, ProcessActor] = {}
         self._ros = ros
-        self.sources = Sources(lambda error: _log.error("%s", error, exc_info=error))
-        self._outside = Outside(self.post, self._ros_access)
-        self._conversations = Conversations(self.post, self._ros_access, self.world)
+        self.tasks = Tasks()
+        self._outside = Outside(self)
+        self._conversations = Conversations(self)
         self._applying: Applying | None = None
         self._pending_at_end: tuple[str, ...] | None = None
         self.time = self._loop.time
@@ -132,7 +109,7 @@ class System:
         self._is_busy = True
         try:
             while self._inputs or self._is_due():
-                self._process(self._inputs.popleft() if self._inputs else Time())
+                self._process(self._inputs.popleft() if self._inputs else inputs.Time())
         finally:
             self._is_busy = False
         self._settled()
@@ -147,7 +124,7 @@ class System:
         if self._decisions is not None:
             self._decisions.add(now, said, jitter)
         effects = reduce(self.world, said, now, jitter)
-        self._is_overdue = isinstance(said, Time) and Snapshot.of(self.world) == before
+        self._is_overdue = isinstance(said, inputs.Time) and Snapshot.of(self.world) == before
         events: list[RunEvent] = []
         try:
             stamp_ns = self.publisher.stamp_ns()
@@ -165,9 +142,13 @@ class System:
             except Exception as error:  # noqa: BLE001 - it is the failure of its unit alone
                 self.fail(getattr(effect, "unit", getattr(effect, "container", "")), error)
 
+    def begin_task(self, work: Callable[[], Awaitable[None]], unit: str = "") -> anyio.CancelScope:
+        """Begin a task; an exception in it is the failure of the unit alone."""
+        return self.tasks.begin(work, partial(self.fail, unit))
+
     def fail(self, unit: str, error: Exception) -> None:
         """Give a unit up because of an exception of our own; the others go on."""
-        reason = failure_reason(error)
+        reason = _failure_reason(error)
         text = f"{unit or 'supervisor'}: {reason}"
         process = self.world.processes.get(unit)
         # A rule may raise whenever it is evaluated: its unit is given up once.
@@ -175,11 +156,11 @@ class System:
         if self.publisher.is_news(text) or not is_given_up:
             _reported.error("%s", text, exc_info=error)
         if not is_given_up:
-            self.post(Failed(unit, reason))
+            self.post(inputs.Failed(unit, reason))
 
     def _settled(self) -> None:
         try:
-            self._outside.watch(pending_dependencies(self.world))
+            self._outside.watch(awaited_dependencies(self.world))
         except Exception:  # noqa: BLE001 - what waits has time limits, and can be started
             _log.exception("what starts depend on cannot be watched")
         for name in [name for name in self._actors if name not in self.world.processes]:
@@ -219,51 +200,51 @@ class System:
             except Exception as error:  # noqa: BLE001 - it is the failure of its unit alone
                 self.fail(actor.name, error)
         if self._is_due():
-            self.post(Time())
+            self.post(inputs.Time())
         self._set_timer()
 
     def _carry_out(self, effect: Effect) -> None:
         match effect:
-            case Spawn():
+            case inputs.Spawn():
                 self._actor(effect.unit).spawn(effect.start)
-            case Kill():
+            case inputs.Kill():
                 self._actor(effect.unit).kill(effect.start)
-            case Stop():
+            case inputs.Stop():
                 actor = self._actor(effect.unit)
                 actor.stop(effect.start, asks=effect.asks, reason=effect.reason)
-            case Load():
+            case inputs.Load():
                 self._container(effect.node.container).load(effect.node, effect.attempt)
-            case Cancel():
+            case inputs.Cancel():
                 self._container(effect.container).cancel(effect.unique_id)
-            case Unload():
+            case inputs.Unload():
                 self._container(effect.container).unload(effect.unique_id)
-            case Query():
+            case inputs.Query():
                 self._container(effect.container).query(effect.about)
-            case Probe():
+            case inputs.Probe():
                 self._container(effect.container).probe(effect.nodes)
-            case CancelProbes():
+            case inputs.CancelProbes():
                 self._container(effect.container).cancel_probes()
-            case Drive():
+            case inputs.Drive():
                 self._conversations.begin(effect.unit, effect.instance)
-            case Transit():
+            case inputs.Transit():
                 self._conversations.transit(effect.unit, effect.instance, effect.action)
-            case Release():
+            case inputs.Release():
                 self._conversations.end(effect.unit)
-            case SetParameters():
+            case inputs.SetParameters():
                 self.applying.set_parameters(effect.step)
             case StepOutcome():
                 self.applying.step_ended(effect)
-            case ChangeEnded():
+            case inputs.ChangeEnded():
                 self.applying.change_ended()
-            case Log():
+            case inputs.Log():
                 logger = _reported if effect.is_shown_otherwise else _log
                 logger.log(logging.ERROR if effect.is_error else logging.WARNING, "%s", effect.text)
-            case Raised():
+            case inputs.Raised():
                 self.fail(effect.unit, effect.error)
-            case End():
+            case inputs.End():
                 self._pending_at_end = self.pending
                 self.stop_requests.request(reason=effect.reason)
-                self.post(StopRequested(effect.reason))
+                self.post(inputs.StopRequested(effect.reason))
 
     def _actor(self, name: str) -> ProcessActor:
         kind = ProcessActor if self.world.processes[name].container is None else ContainerActor
@@ -276,7 +257,9 @@ class System:
         assert isinstance(actor, ContainerActor)
         return actor
 
-    def _ros_access(self) -> RosAccess:
+    @property
+    def ros(self) -> RosAccess:
+        """Access to the graph and to managed nodes."""
         if self._ros is None:
             # Imported only where it is needed: rclpy takes long.
             from play_launch.ros.access import RosAccess  # noqa: PLC0415
@@ -353,32 +336,32 @@ class System:
         It does not wait for what it depends on.
         """
         self._known(member)
-        self.post(StartRequested(member))
+        self.post(inputs.StartRequested(member))
 
     def stop(self, member: str, reason: str) -> None:
         """Have one stopped, for good; the others are left alone."""
         self._known(member)
-        self.post(EndRequested(member, reason))
+        self.post(inputs.EndRequested(member, reason))
 
     def restart(self, member: str, reason: str) -> None:
         """Have one replaced by a new process, or started."""
         self._known(member)
-        self.post(StartRequested(member, anew=True, reason=reason))
+        self.post(inputs.StartRequested(member, anew=True, reason=reason))
 
     def load(self, node: NodeKey) -> None:
         """Have a composable node loaded, whatever it waits for; KeyError for an unknown one."""
         self._known(node)
-        self.post(StartRequested(str(node)))
+        self.post(inputs.StartRequested(str(node)))
 
     def unload(self, node: NodeKey) -> None:
         """Have one unloaded, for good."""
         self._known(node)
-        self.post(EndRequested(str(node)))
+        self.post(inputs.EndRequested(str(node)))
 
     def reload(self, node: NodeKey) -> None:
         """Have one replaced by a new one, or loaded."""
         self._known(node)
-        self.post(StartRequested(str(node), anew=True))
+        self.post(inputs.StartRequested(str(node), anew=True))
 
     def _known(self, unit: str | NodeKey) -> None:
         units = self.world.processes if isinstance(unit, str) else self.world.nodes
@@ -409,7 +392,9 @@ class System:
                 self._pending_at_end = self.pending
                 _log.info("stopping: %s", self.stop_requests.reason)
                 tasks.start_soon(self._hurry)
-                self.post(StopRequested(self.stop_requests.reason, self.stop_requests.signum))
+                self.post(
+                    inputs.StopRequested(self.stop_requests.reason, self.stop_requests.signum)
+                )
                 await self.until(lambda: has_ended(self.world))
                 tasks.cancel_scope.cancel()
         finally:
@@ -419,15 +404,14 @@ class System:
                 await self._applying.close()
 
     def _begin(self, tasks: TaskGroup) -> None:
-        self.sources.run_in(tasks)
-        self.sources.begin(self._outside.run)
-        self._conversations.run_in(tasks)
+        self.tasks.run_in(tasks)
+        self.begin_task(self._outside.run)
         if not self.stop_requests.requested.is_set():
-            self.post(Time())
+            self.post(inputs.Time())
 
     async def _hurry(self) -> None:
         await self.stop_requests.hurry.wait()
-        self.post(StopRequested(is_hurried=True))
+        self.post(inputs.StopRequested(is_hurried=True))
 
     def _close(self) -> None:
         self._is_closed = True
@@ -438,6 +422,14 @@ class System:
         """Wait until a condition of the world holds."""
         while not condition():
             await self._changed.wait()
+
+
+def _failure_reason(error: Exception) -> str:
+    """Name an unexpected exception in one line; of a group, the first one."""
+    while isinstance(error, ExceptionGroup):
+        error = error.exceptions[0]
+    text = " ".join(f"{type(error).__name__}: {error}".split())
+    return f"internal error (its call stack is in the recording): {text}"
 
 
 def _chance() -> float:

@@ -225,8 +225,8 @@ def _impossible(what: str, why: str = "") -> Evaluation:
     return Evaluation(ConditionState.IMPOSSIBLE, f"{what}: {why}" if why else what)
 
 
-def pending_dependencies(world: World) -> tuple[Dependency, ...]:
-    """Give the conditions that units wait for now and that are not met, each once."""
+def awaited_dependencies(world: World) -> tuple[Dependency, ...]:
+    """Give the conditions of all units that wait now, met or not, each once."""
     keys = sorted(world.waiting, key=world.places.__getitem__)
     units = [world.processes[key] if isinstance(key, str) else world.nodes[key] for key in keys]
     waiting = [unit for unit in units if unit.wait is not None]
@@ -235,7 +235,6 @@ def pending_dependencies(world: World) -> tuple[Dependency, ...]:
         for unit in waiting
         if (rule := rule_of(world, unit)) is not None
         for dependency in rule.dependencies
-        if condition_state(world, dependency).state is ConditionState.PENDING
     ]
     return tuple(dict.fromkeys(found))
 

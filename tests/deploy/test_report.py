@@ -211,8 +211,7 @@ def test_a_member_that_nobody_looks_after_is_not_hidden(tmp_path: Path) -> None:
             await asyncio.sleep(60)
             assert "WATCHDOG=1" in listening.hear_all()
             (actor,) = one.operated._actors.values()
-            companion = actor._companion
-            companion.runs = False
+            actor._is_awaited = False
             await asyncio.sleep(11)
             listening.hear_all()
             await asyncio.sleep(100)
@@ -221,7 +220,7 @@ def test_a_member_that_nobody_looks_after_is_not_hidden(tmp_path: Path) -> None:
                 each.startswith("STATUS=health problem: /p: the exit of its process")
                 for each in listening.said
             )
-            companion.runs = True
+            actor._is_awaited = True
             await asyncio.sleep(11)
             said = listening.hear_all()
             assert "WATCHDOG=1" in said

@@ -81,6 +81,18 @@ class Graph(GraphSource):
         self.is_closed = True
 
 
+class Ros(RosAccess):
+    def __init__(self) -> None:
+        self.graphs: list[Graph] = []
+
+    def watch_graph(self, on_change: Callable[[Wanted], None]) -> Graph:
+        self.graphs.append(Graph(on_change))
+        return self.graphs[-1]
+
+    def managed_node(self, name: str, on_state: Callable[[int], None]) -> NoReturn:
+        raise AssertionError(name)
+
+
 def test_a_process_waits_for_one_that_exits_with_status_0() -> None:
     async def main() -> Running:
         fakes = FakeLauncher()
@@ -290,20 +302,7 @@ def test_somebody_starts_what_waits_and_stops_what_waits() -> None:
 
 def test_lines_and_the_graph() -> None:
     async def main() -> None:
-        fakes = FakeLauncher()
-        graphs: list[Graph] = []
-
-        class Ros(RosAccess):
-            def __init__(self) -> None:
-                pass
-
-            def watch_graph(self, on_change: Callable[[Wanted], None]) -> Graph:
-                graphs.append(Graph(on_change))
-                return graphs[-1]
-
-            def managed_node(self, name: str, on_state: Callable[[int], None]) -> NoReturn:
-                raise AssertionError(name)
-
+        fakes, ros = FakeLauncher(), Ros()
         config = system(process("early"), process("line"), process("graph"), container("c", "n"))
         config = rules(
             config,
@@ -311,11 +310,11 @@ def test_lines_and_the_graph() -> None:
             graph=on(Condition.TOPIC, subject="/scan"),
             n=on(Condition.SERVICE, subject="/map"),
         )
-        async with running(config, fakes, ros=Ros()) as sys:
+        async with running(config, fakes, ros=ros) as sys:
             await sys.until(lambda: STARTED in sys.process_events("/early"))
             await sys.until_state("/c", ContainerState.RUNNING)
             await asyncio.sleep(1)
-            (graph,) = graphs
+            (graph,) = ros.graphs
             scan, service = (Condition.TOPIC, "/scan"), (Condition.SERVICE, "/map")
             assert graph.watched[-1] == {scan, service}
             sys.say("/early", "not ready yet")
@@ -329,6 +328,37 @@ def test_lines_and_the_graph() -> None:
             await sys.until(lambda: STARTED in sys.process_events("/graph"))
             assert graph.watched[-1] == frozenset()
         assert graph.is_closed
+
+    run(main())
+
+
+def test_the_graph_counts_as_it_is_as_long_as_a_unit_waits_for_it() -> None:
+    scan, map_ = (Condition.TOPIC, "/scan"), (Condition.SERVICE, "/map")
+
+    async def main() -> None:
+        fakes, ros = FakeLauncher(), Ros()
+        rule = StartRule(dependencies=tuple(on(kind, subject=name) for kind, name in (scan, map_)))
+        config = replace(system(process("p")), start_rules=MappingProxyType({"/p": rule}))
+        more = {"/p": rule, "/late": StartRule(dependencies=rule.dependencies[:1])}
+        target = system(process("p"), process("late"))
+        target = replace(target, start_rules=MappingProxyType(more))
+        async with running(config, fakes, ros=ros) as sys:
+            await sys.until(lambda: WAITING in sys.process_events("/p"))
+            (graph,) = ros.graphs
+            for seen in (scan, map_):
+                graph.on_change(frozenset({seen}))
+                await asyncio.sleep(1)
+                assert graph.watched == [{scan, map_}]
+            assert "/p" not in fakes.processes
+            graph.on_change(frozenset({scan, map_}))
+            await sys.until(lambda: STARTED in sys.process_events("/p"))
+            # What was seen before is no news of the graph as it is now.
+            applying = asyncio.ensure_future(sys.operated.applying.apply(target))
+            await sys.until(lambda: "/late" in sys.view.processes)
+            await asyncio.sleep(1)
+            assert "/late" not in fakes.processes
+            graph.on_change(frozenset({scan}))
+            assert (await applying).succeeded
 
     run(main())
 
