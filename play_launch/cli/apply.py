@@ -16,7 +16,7 @@ from play_launch.cli.connection import connected
 from play_launch.cli.output import is_terminal, printable, report, wants_colour
 from play_launch.control.protocol import OperationError
 from play_launch.launch_files.configuration.options import Containers
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

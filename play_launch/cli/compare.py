@@ -23,7 +23,7 @@ from play_launch.postmortem.comparison import (
 from play_launch.postmortem.parameters import shortened
 from play_launch.postmortem.report.comparison import Words, comparison_page, scaled
 from play_launch.postmortem.story import read_story
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -16,7 +16,7 @@ from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.crash_groups import CrashGroup, CrashGroups
 from play_launch.postmortem.story import read_story
 from play_launch.recording.folder import ACTIVE_SUFFIX, part_file
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

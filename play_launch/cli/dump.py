@@ -22,7 +22,7 @@ from play_launch.cli.target import (
     target_of,
 )
 from play_launch.launch_files.configuration.options import Containers, Options
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 
 
 def dump(  # noqa: PLR0917 - options, by name

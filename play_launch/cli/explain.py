@@ -12,7 +12,7 @@ from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.findings import is_wrong
 from play_launch.postmortem.locate import located
 from play_launch.postmortem.story import read_story
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 
 
 def explain(file: options.Recording, as_json: options.Json = False) -> int:

@@ -18,7 +18,7 @@ from play_launch.postmortem.export.tables import WRITERS, rows
 from play_launch.postmortem.export.trace import trace_events, write_trace
 from play_launch.postmortem.session import PastSession
 from play_launch.recording.folder import beside
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from play_launch.postmortem.export.tables import TableWriter

@@ -23,7 +23,7 @@ from play_launch.graph_daemon.graph_client import (
     NoDaemonError,
     RemoteError,
 )
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -14,7 +14,7 @@ from play_launch.postmortem.crash_groups import crashes_of
 from play_launch.postmortem.story import read_story
 from play_launch.recording.bag import PART_METADATA
 from play_launch.recording.recorder import DROPS_METADATA
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from play_launch.postmortem.bag_reader import BagReader

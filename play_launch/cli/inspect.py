@@ -27,7 +27,7 @@ from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.console_format import DEBUG, ERROR, FATAL, INFO, WARN
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -23,7 +23,7 @@ from play_launch.cli.target import (
 )
 from play_launch.deploy.notification import claim
 from play_launch.launch_files.configuration.options import Containers, Options
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 
 
 def launch(  # noqa: PLR0917 - options, by name

@@ -14,7 +14,7 @@ from play_launch.postmortem.export.foxglove import foxglove_layout
 from play_launch.postmortem.export.plotjuggler import plotjuggler_layout
 from play_launch.postmortem.export.subjects import NO_SUBJECT, chosen
 from play_launch.postmortem.session import PastSession
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 
 Tool = Literal["foxglove", "plotjuggler"]
 

@@ -19,7 +19,7 @@ from play_launch.postmortem.report.story import Point
 from play_launch.postmortem.session import PastSession
 from play_launch.postmortem.story import Telling
 from play_launch.recording.folder import beside
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -25,8 +25,8 @@ from play_launch.recording.facts import REDACTED
 from play_launch.recording.forms import convert
 from play_launch.supervisor.difference import NOTHING, Snapshot, events_between
 from play_launch.supervisor.events import SubjectKind
-from play_launch.supervisor.exit_code import ExitCode
 from play_launch.supervisor.inputs import Origin, Over, Raised
+from play_launch.supervisor.outcome import ExitCode
 from play_launch.supervisor.reducer import reduce
 from play_launch.supervisor.world import World
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from play_launch.cli import options
 from play_launch.cli.connection import connected
 from play_launch.cli.output import clock, duration, printable, say, size
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

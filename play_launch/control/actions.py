@@ -28,6 +28,7 @@ from play_launch.supervisor.events import (
     StateEvent,
     Withdrawn,
 )
+from play_launch.supervisor.view import has_ended_well
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Iterator, Mapping, Sequence
@@ -37,8 +38,8 @@ if TYPE_CHECKING:
     from play_launch.control.units import Target
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
-    from play_launch.supervisor.events import RunEvent
-    from play_launch.supervisor.view import ContainerView, NodeView
+    from play_launch.supervisor.events import NodeStateChanged, RunEvent
+    from play_launch.supervisor.view import ContainerView
 
     Outcomes = dict[Target, str]
 
@@ -294,9 +295,9 @@ class Actions:
             outcome = self._of_node(target, _NOT_LOADED)
         else:
             process = self._publisher.view.processes.get(target)
-            has_ended_well = process is not None and process.ended_well
+            is_done = process is not None and has_ended_well(process)
             is_stopped = self._state(target) is ContainerState.STOPPED
-            outcome = DONE if has_ended_well and is_stopped else self._of_member(target)
+            outcome = DONE if is_done and is_stopped else self._of_member(target)
         managed = self._system.config.managed.get(str(target))
         if not activated or outcome != DONE or managed is None:
             return outcome
@@ -336,7 +337,7 @@ class Actions:
         except KeyError:
             return None
 
-    def _node(self, key: NodeKey) -> tuple[ContainerView, NodeView] | None:
+    def _node(self, key: NodeKey) -> tuple[ContainerView, NodeStateChanged] | None:
         container = self._publisher.view.containers.get(key.container)
         if container is None or key not in container.nodes:
             return None

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from play_launch.control.messages import LastLine, RestartRecord
-    from play_launch.supervisor.view import ContainerView, NodeView, ProcessView, SystemView
+    from play_launch.supervisor.events import NodeStateChanged, ProcessEvent
+    from play_launch.supervisor.view import ContainerView, SystemView
     from play_launch.supervisor.world import Node, World
 
 Target = NodeKey | str
@@ -180,7 +181,7 @@ def status_of(
 ) -> UnitStatus | None:
     """Add to a row all that is known of its unit; None: it was removed."""
     unit: Process | Node | None
-    seen: ContainerView | ProcessView | NodeView | None
+    seen: ContainerView | ProcessEvent | NodeStateChanged | None
     if row.container is None:
         unit = world.processes.get(row.name)
         seen = view.containers.get(row.name) or view.processes.get(row.name)
@@ -193,7 +194,7 @@ def status_of(
         return None
     return UnitStatus(
         **{name: getattr(row, name) for name in UnitRow.__struct_fields__},
-        since_ns=seen.since_ns or None if seen else None,
+        since_ns=seen.stamp_ns or None if seen else None,
         last_restarts=restarts,
         waits_for=unit.wait.text if unit.wait else "",
         wanted=is_wanted(world, unit),
@@ -225,7 +226,7 @@ def _of_container(
 
 
 def _of_node(
-    node: NodeView, container: ContainerView, view: SystemView, samples: Samples
+    node: NodeStateChanged, container: ContainerView, view: SystemView, samples: Samples
 ) -> UnitRow:
     pid = node.pid if node.state in _HAS_PROCESS and container.process.pid else 0
     # Without a process of its own, its usage is in the numbers of its container.
@@ -240,7 +241,7 @@ def _of_node(
         managed=_managed(view, str(node.key)),
         pid=pid or None,
         restarts=node.reloads,
-        uptime_s=round((time.time_ns() - node.since_ns) / 1e9, 3)
+        uptime_s=round((time.time_ns() - node.stamp_ns) / 1e9, 3)
         if node.state is NodeState.LOADED
         else None,
         exit_code=None,
@@ -273,7 +274,7 @@ def _managed(view: SystemView, unit: str) -> Managed | None:
     return Managed(found.state.value, found.reason) if found else None
 
 
-def _of_life(process: ProcessView) -> dict[str, Any]:
+def _of_life(process: ProcessEvent) -> dict[str, Any]:
     has_ended = process.kind in _ENDED
     is_known = process.exit_code != UNKNOWN_STATUS
     return {

@@ -10,8 +10,8 @@ from msgspec import Struct
 
 from play_launch.runtime.launcher import NativeLauncher
 from play_launch.runtime.system import System
-from play_launch.supervisor.exit_code import exit_code
 from play_launch.supervisor.inputs import Origin, Over
+from play_launch.supervisor.view import exit_code
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +30,7 @@ class Outcome(Struct, frozen=True, kw_only=True):
     """How a run ended."""
 
     exit_code: int
-    """As :mod:`play_launch.supervisor.exit_code` has it."""
+    """As `play_launch.supervisor.view.exit_code` has it."""
     view: SystemView
     """The system when the run began to end, so before it was stopped."""
     final_view: SystemView

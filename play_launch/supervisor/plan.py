@@ -191,8 +191,8 @@ def after(running: ReplayConfig, target: ReplayConfig, done: Iterable[Step]) -> 
 
     def merged(kind: Kind, before: Iterable[_Part], target: Iterable[_Part]) -> tuple[_Part, ...]:
         """Choose what a step has made of each; the new ones first, then those that are only old."""
-        old = {_name(each): each for each in before}
-        new = {_name(each): each for each in target}
+        old: dict[str, _Part] = {_name(each): each for each in before}
+        new: dict[str, _Part] = {_name(each): each for each in target}
         found: list[_Part] = []
         for name in dict.fromkeys((*new, *old)):
             was, is_, action = old.get(name), new.get(name), actions.get((kind, name))

@@ -7,7 +7,7 @@ code read nothing else, so all of them can be made from a recording as well.
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from msgspec import Struct, field
 from msgspec.structs import replace
@@ -29,9 +29,10 @@ from play_launch.supervisor.events import (
     SubjectKind,
     Withdrawn,
 )
+from play_launch.supervisor.outcome import ENDING_SIGNALS, ExitCode
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
 
 
 _Key = TypeVar("_Key")
@@ -44,73 +45,25 @@ RECALLING = frozenset({"start", "restart", "load", "reload", "apply"})
 WAITING_STATES = frozenset(
     {NodeState.PENDING, NodeState.REQUESTED, NodeState.LOADING, NodeState.LOST}
 )
+_TO_START = frozenset({ProcessEventKind.RESTARTING, ProcessEventKind.WAITING})
+_ALIVE = frozenset({ProcessEventKind.STARTED, ProcessEventKind.READY, ProcessEventKind.STOPPING})
 
 
-class NodeView(Struct, frozen=True, kw_only=True):
-    """One declared composable node."""
-
-    key: NodeKey
-    state: NodeState
-    since_ns: int
-    """Wall-clock time since which it is in this state, nanoseconds since the epoch."""
-    elapsed_ns: int = 0
-    reason: str = ""
-    pid: int = 0
-    """Of the process that holds it, or held it at last."""
-    start_time: int = 0
-    """Of that process, in clock ticks after boot; 0 where unknown."""
-    unique_id: int = 0
-    crashes: int = 0
-    reloads: int = 0
-
-    @property
-    def container(self) -> str:
-        return self.key.container
-
-    @property
-    def node(self) -> str:
-        """Declared full name, or the label of a node that has none."""
-        return self.key.name
+def _empty() -> Mapping[Any, Any]:
+    return MappingProxyType({})
 
 
-class ProcessView(Struct, frozen=True, kw_only=True):
-    """One process that the supervisor owns."""
+def has_ended_well(process: ProcessEvent) -> bool:
+    """Whether a process exited with status 0, and is not started again."""
+    has_exited = process.kind is ProcessEventKind.EXITED
+    return has_exited and process.exit_code == 0 and process.signal == 0
 
-    name: str
-    kind: ProcessEventKind = ProcessEventKind.STARTED
-    """The latest thing that happened to it."""
-    since_ns: int = 0
-    pid: int = 0
-    """0 when it does not run."""
-    start_time: int = 0
-    """In clock ticks after boot; of the process that ran at last."""
-    exit_code: int = 0
-    signal: int = 0
-    restarts: int = 0
-    message: str = ""
 
-    @property
-    def ended_well(self) -> bool:
-        """Whether it ended with status 0 and stays so."""
-        ended = self.kind is ProcessEventKind.EXITED
-        return ended and self.exit_code == 0 and self.signal == 0
-
-    @property
-    def restarting(self) -> bool:
-        """Whether it waits for its restart, so that it is not there at the moment."""
-        return self.kind is ProcessEventKind.RESTARTING
-
-    @property
-    def waiting(self) -> bool:
-        """Whether it was not started yet, because of what it depends on."""
-        return self.kind is ProcessEventKind.WAITING
-
-    @property
-    def failed(self) -> bool:
-        """Whether it ended otherwise than with status 0, or is not started again."""
-        if self.kind is ProcessEventKind.GAVE_UP:
-            return True
-        return self.kind is ProcessEventKind.EXITED and not self.ended_well
+def has_failed(process: ProcessEvent) -> bool:
+    """Whether a process exited otherwise, or is not started again."""
+    if process.kind is ProcessEventKind.GAVE_UP:
+        return True
+    return process.kind is ProcessEventKind.EXITED and not has_ended_well(process)
 
 
 class ContainerView(Struct, frozen=True, kw_only=True):
@@ -118,12 +71,18 @@ class ContainerView(Struct, frozen=True, kw_only=True):
 
     name: str
     state: ContainerState = ContainerState.STOPPED
-    since_ns: int = 0
+    stamp_ns: int = 0
+    """When it came to this state."""
     reason: str = ""
     mechanism: str = ""
     """How its nodes are isolated; empty where they are not, or while it does not run."""
-    process: ProcessView
-    nodes: Mapping[NodeKey, NodeView] = field(default_factory=lambda: MappingProxyType({}))
+    process: ProcessEvent
+    """The latest of its process, as in `SystemView.processes`."""
+    nodes: Mapping[NodeKey, NodeStateChanged] = field(default_factory=_empty)
+    """The latest state of each node; its stamp is that of the first event with that state."""
+
+    def _in(self, states: Collection[NodeState]) -> tuple[NodeStateChanged, ...]:
+        return tuple(node for node in self.nodes.values() if node.state in states)
 
     @property
     def total(self) -> int:
@@ -134,24 +93,23 @@ class ContainerView(Struct, frozen=True, kw_only=True):
         return sum(node.state is NodeState.LOADED for node in self.nodes.values())
 
     @property
-    def waiting(self) -> tuple[NodeView, ...]:
-        return tuple(node for node in self.nodes.values() if node.state in WAITING_STATES)
+    def waiting(self) -> tuple[NodeStateChanged, ...]:
+        return self._in(WAITING_STATES)
 
     @property
-    def unloaded(self) -> tuple[NodeView, ...]:
+    def unloaded(self) -> tuple[NodeStateChanged, ...]:
         """The nodes that were unloaded, or are being unloaded, and are not loaded again."""
-        unloaded = {NodeState.UNLOADING, NodeState.UNLOADED}
-        return tuple(node for node in self.nodes.values() if node.state in unloaded)
+        return self._in({NodeState.UNLOADING, NodeState.UNLOADED})
 
     @property
-    def failed(self) -> tuple[NodeView, ...]:
-        return tuple(node for node in self.nodes.values() if node.state in FAILED_STATES)
+    def failed(self) -> tuple[NodeStateChanged, ...]:
+        return self._in(FAILED_STATES)
 
     @property
     def crashes(self) -> int:
         return sum(node.crashes for node in self.nodes.values())
 
-    def crashed_since(self, before: ContainerView) -> tuple[NodeView, ...]:
+    def crashed_since(self, before: ContainerView) -> tuple[NodeStateChanged, ...]:
         """Its nodes that crashed after it was as ``before``, reloaded or not."""
         return tuple(
             node
@@ -159,17 +117,14 @@ class ContainerView(Struct, frozen=True, kw_only=True):
             if key in before.nodes and node.crashes > before.nodes[key].crashes
         )
 
-    def without(self, keys: frozenset[str]) -> ContainerView:
-        left = {key: node for key, node in self.nodes.items() if str(key) not in keys}
-        return replace(self, nodes=MappingProxyType(left))
-
 
 class SystemView(Struct, frozen=True, kw_only=True):
     """Containers and ordinary processes by full name."""
 
-    containers: Mapping[str, ContainerView] = field(default_factory=lambda: MappingProxyType({}))
-    processes: Mapping[str, ProcessView] = field(default_factory=lambda: MappingProxyType({}))
-    managed: Mapping[str, ManagedNodeChanged] = field(default_factory=lambda: MappingProxyType({}))
+    containers: Mapping[str, ContainerView] = field(default_factory=_empty)
+    processes: Mapping[str, ProcessEvent] = field(default_factory=_empty)
+    """The latest event of each; without a pid when it does not run, with the latest exit."""
+    managed: Mapping[str, ManagedNodeChanged] = field(default_factory=_empty)
     """The latest state of each managed node that is brought somewhere, by unit."""
     dismissed: frozenset[str] = frozenset()
     """What an operator stopped or unloaded and has not requested since: containers and processes
@@ -178,25 +133,24 @@ class SystemView(Struct, frozen=True, kw_only=True):
     @property
     def expected(self) -> SystemView:
         """The same without what an operator dismissed; a container includes its nodes."""
-        if not self.dismissed:
+        gone = self.dismissed
+        if not gone:
             return self
         containers = {
-            name: each.without(self.dismissed)
+            name: replace(
+                each, nodes={k: node for k, node in each.nodes.items() if str(k) not in gone}
+            )
             for name, each in self.containers.items()
-            if name not in self.dismissed
-        }
-        processes = {
-            name: each for name, each in self.processes.items() if name not in self.dismissed
-        }
-        managed = {
-            unit: each
-            for unit, each in self.managed.items()
-            if self.dismissed.isdisjoint({unit, unit.partition(":")[0]})
+            if name not in gone
         }
         return SystemView(
-            containers=MappingProxyType(containers),
-            processes=MappingProxyType(processes),
-            managed=MappingProxyType(managed),
+            containers=containers,
+            processes={name: each for name, each in self.processes.items() if name not in gone},
+            managed={
+                unit: each
+                for unit, each in self.managed.items()
+                if gone.isdisjoint({unit, unit.partition(":")[0]})
+            },
         )
 
     @property
@@ -208,11 +162,11 @@ class SystemView(Struct, frozen=True, kw_only=True):
         return sum(container.total for container in self.containers.values())
 
     @property
-    def waiting(self) -> tuple[NodeView, ...]:
+    def waiting(self) -> tuple[NodeStateChanged, ...]:
         return tuple(node for each in self.containers.values() for node in each.waiting)
 
     @property
-    def unloaded(self) -> tuple[NodeView, ...]:
+    def unloaded(self) -> tuple[NodeStateChanged, ...]:
         return tuple(node for each in self.containers.values() for node in each.unloaded)
 
     @property
@@ -223,16 +177,16 @@ class SystemView(Struct, frozen=True, kw_only=True):
         restart, has not.
         """
         running = all(each.state is ContainerState.RUNNING for each in self.containers.values())
-        waiting = any(each.restarting or each.waiting for each in self.processes.values())
+        waiting = any(each.kind in _TO_START for each in self.processes.values())
         under_way = any(each.state in UNDER_WAY for each in self.managed.values())
         return running and not waiting and not under_way and self.loaded == self.total
 
     @property
-    def failed(self) -> tuple[NodeView, ...]:
+    def failed(self) -> tuple[NodeStateChanged, ...]:
         return tuple(node for each in self.containers.values() for node in each.failed)
 
     @property
-    def crashed(self) -> tuple[NodeView, ...]:
+    def crashed(self) -> tuple[NodeStateChanged, ...]:
         """All nodes that crashed at least once, reloaded or not."""
         nodes = (node for each in self.containers.values() for node in each.nodes.values())
         return tuple(node for node in nodes if node.crashes)
@@ -249,8 +203,8 @@ class SystemView(Struct, frozen=True, kw_only=True):
         return tuple(each for each in self.managed.values() if each.state is ManagedState.FAILED)
 
     @property
-    def failed_processes(self) -> tuple[ProcessView, ...]:
-        return tuple(each for each in self.processes.values() if each.failed)
+    def failed_processes(self) -> tuple[ProcessEvent, ...]:
+        return tuple(each for each in self.processes.values() if has_failed(each))
 
     def after(self, event: RunEvent) -> SystemView:
         """Give the view that follows; the same object when the event changes nothing."""
@@ -263,7 +217,7 @@ class SystemView(Struct, frozen=True, kw_only=True):
                     replace(
                         container,
                         state=event.state,
-                        since_ns=event.stamp_ns,
+                        stamp_ns=event.stamp_ns,
                         reason=event.reason,
                         mechanism=event.mechanism,
                     )
@@ -273,9 +227,8 @@ class SystemView(Struct, frozen=True, kw_only=True):
                 process = _process_changed(container.process, event)
                 return self._with_container(replace(container, process=process))
             case ProcessEvent():
-                process = self.processes.get(event.name, ProcessView(name=event.name))
-                changed = _with(self.processes, event.name, _process_changed(process, event))
-                return replace(self, processes=changed)
+                process = _process_changed(self.processes.get(event.name), event)
+                return replace(self, processes=_with(self.processes, event.name, process))
             case ManagedNodeChanged():
                 return replace(self, managed=_with(self.managed, event.unit, event))
             case ActionEvent(phase=ActionPhase.REQUESTED):
@@ -309,8 +262,10 @@ class SystemView(Struct, frozen=True, kw_only=True):
         return replace(view, dismissed=self.dismissed - {event.key})
 
     def _container(self, name: str) -> ContainerView:
-        known = self.containers.get(name)
-        return known or ContainerView(name=name, process=ProcessView(name=name))
+        if (known := self.containers.get(name)) is not None:
+            return known
+        never = ProcessEvent(stamp_ns=0, name=name, kind=ProcessEventKind.STARTED)
+        return ContainerView(name=name, process=never)
 
     def _with_container(self, container: ContainerView) -> SystemView:
         return replace(self, containers=_with(self.containers, container.name, container))
@@ -318,44 +273,29 @@ class SystemView(Struct, frozen=True, kw_only=True):
 
 def _node_changed(container: ContainerView, event: NodeStateChanged) -> ContainerView:
     before = container.nodes.get(event.key)
-    repeated = before is not None and before.state is event.state
-    node = NodeView(
-        key=event.key,
-        state=event.state,
-        since_ns=before.since_ns if repeated and before else event.stamp_ns,
-        elapsed_ns=event.elapsed_ns,
-        reason=event.reason,
-        pid=event.pid,
-        start_time=event.start_time,
-        unique_id=event.unique_id,
-        crashes=event.crashes,
-        reloads=event.reloads,
-    )
-    return replace(container, nodes=_with(container.nodes, event.key, node))
+    if before is not None and before.state is event.state:
+        event = replace(event, stamp_ns=before.stamp_ns)
+    return replace(container, nodes=_with(container.nodes, event.key, event))
 
 
-def _process_changed(process: ProcessView, event: ProcessEvent) -> ProcessView:
-    alive = event.kind not in {
-        ProcessEventKind.EXITED,
-        ProcessEventKind.RESTARTING,
-        ProcessEventKind.GAVE_UP,
-        ProcessEventKind.WAITING,
-        ProcessEventKind.STOPPED,
-    }
-    ended = event.kind is ProcessEventKind.EXITED
+def _process_changed(before: ProcessEvent | None, event: ProcessEvent) -> ProcessEvent:
+    """Keep what later events do not repeat: how it exited, and that it was given up."""
+    if before is None:
+        before = ProcessEvent(stamp_ns=0, name=event.name, kind=event.kind)
+    has_exited = event.kind is ProcessEventKind.EXITED
     # Given up while it still ran: its end does not change that.
-    ends = event.kind in {ProcessEventKind.STOPPING, ProcessEventKind.EXITED}
-    gave_up = process.kind is ProcessEventKind.GAVE_UP and ends
+    stays = before.kind is ProcessEventKind.GAVE_UP and (
+        has_exited or event.kind is ProcessEventKind.STOPPING
+    )
+    exit_of = event if has_exited else before
+    shown = before if stays else event
     return replace(
-        process,
-        kind=process.kind if gave_up else event.kind,
-        since_ns=event.stamp_ns,
-        pid=event.pid if alive else 0,
-        start_time=event.start_time,
-        exit_code=event.exit_code if ended else process.exit_code,
-        signal=event.signal if ended else process.signal,
-        restarts=event.restarts,
-        message=process.message if gave_up else event.message,
+        event,
+        kind=shown.kind,
+        message=shown.message,
+        pid=event.pid if event.kind in _ALIVE else 0,
+        exit_code=exit_of.exit_code,
+        signal=exit_of.signal,
     )
 
 
@@ -401,10 +341,53 @@ def absent(view: SystemView) -> dict[str, str]:
     for process in view.processes.values():
         if process.name in view.dismissed and not process.pid:
             found[process.name] = "it was stopped"
-        elif process.failed:
+        elif has_failed(process):
             found[process.name] = process.message or "it has failed"
     return found
 
 
 def _said(state: NodeState | ContainerState, reason: str) -> str:
     return f"{state}: {reason}" if reason else str(state)
+
+
+def exit_code(view: SystemView, final: SystemView, signum: int | None) -> int:
+    """Give the exit code of a run; docs/exit-codes.md explains it.
+
+    Args:
+        view: The system at the moment in which the run began to end, so before it was stopped.
+        final: The system after that.
+        signum: The signal that ended the run; None for another end.
+    """
+    if signum is not None:
+        return ExitCode.SIGNAL_BASE + signum
+    expected = view.expected
+    if expected.failed or expected.gave_up or expected.failed_processes or expected.failed_managed:
+        return ExitCode.NODE_FAILED
+    if crashed_while_stopped(view, final):
+        return ExitCode.NODE_FAILED
+    if not expected.is_complete:
+        return ExitCode.NODES_MISSING
+    return ExitCode.OK
+
+
+def crashed_while_stopped(view: SystemView, final: SystemView) -> list[str]:
+    """Name what ran when the end began, and crashed before it had stopped; see `exit_code`."""
+    both = [(each, final.containers.get(name)) for name, each in view.containers.items()]
+    containers = [(before, after) for before, after in both if after is not None]
+    processes = [(before.process, after.process) for before, after in containers]
+    processes += [
+        (before, final.processes[name])
+        for name, before in view.processes.items()
+        if name in final.processes
+    ]
+    return [
+        *(
+            before.name
+            for before, after in processes
+            if before.pid
+            and after.kind is ProcessEventKind.EXITED
+            and after.signal
+            and after.signal not in ENDING_SIGNALS
+        ),
+        *(str(node.key) for before, after in containers for node in after.crashed_since(before)),
+    ]

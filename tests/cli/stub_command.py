@@ -28,8 +28,7 @@ from play_launch.supervisor.events import (
     OutputLine,
     Stream,
 )
-from play_launch.supervisor.exit_code import exit_code
-from play_launch.supervisor.view import SystemView
+from play_launch.supervisor.view import SystemView, exit_code
 
 if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from play_launch.cli.app import COMMANDS, app, command_of
 from play_launch.container import ros
-from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.outcome import ExitCode
 from tests.support.replay import COMMAND
 
 runner = CliRunner()

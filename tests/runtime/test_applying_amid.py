@@ -74,7 +74,7 @@ def test_a_crash_loop_is_not_started_once_more_as_it_was_configured_before() -> 
         async with running(system(bad), launcher) as sys:
             await asyncio.sleep(20)
             started = len(launcher.processes["/p"])
-            assert sys.view.processes["/p"].restarting
+            assert sys.view.processes["/p"].kind is ProcessEventKind.RESTARTING
             assert (await sys.operated.applying.apply(system(good))).succeeded
             assert [each.argv for each in launcher.processes["/p"][started:]] == [("good",)]
 
@@ -218,7 +218,7 @@ def test_one_that_is_added_and_can_never_start_is_known_to_have_failed() -> None
             await sys.until(lambda: "/bad" in sys.gave_up())
             await sys.operated.applying.apply(target, limit=5)
             assert "/late" in sys.gave_up()
-            assert sys.view.processes["/late"].failed
+            assert sys.view.processes["/late"].kind is ProcessEventKind.GAVE_UP
 
     run(main())
 

@@ -140,7 +140,7 @@ def test_one_that_is_stopped_while_its_last_process_leaves_something_is_not_show
             sys.operated.stop("/p", "enough")
             await asyncio.sleep(20)
             assert len(launcher.processes["/p"]) == 1
-            assert not sys.view.processes["/p"].restarting
+            assert sys.view.processes["/p"].kind is not ProcessEventKind.RESTARTING
             assert sys.process_events("/p")[-1] is ProcessEventKind.STOPPED
 
     run(main())
@@ -233,7 +233,7 @@ def test_a_file_that_cannot_be_looked_for_is_waited_for_and_holds_up_nothing_els
         async with running(config, FakeLauncher()) as sys:
             await sys.until(lambda: "/late" in sys.gave_up())
             assert sys.view.processes["/p"].pid
-            assert sys.view.processes["/later"].waiting
+            assert sys.view.processes["/later"].kind is ProcessEventKind.WAITING
 
     run(main())
 

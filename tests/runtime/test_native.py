@@ -43,8 +43,7 @@ from play_launch.supervisor.events import (
     ProcessEventKind,
     RunEvent,
 )
-from play_launch.supervisor.exit_code import crashed_while_stopped
-from play_launch.supervisor.view import SystemView
+from play_launch.supervisor.view import SystemView, crashed_while_stopped
 from play_launch.supervisor.world import Limits
 from tests.support.stock import EXECUTABLE, PACKAGE, install
 

@@ -15,7 +15,8 @@ from play_launch.supervisor.events import (
     NodeState,
     ProcessEventKind,
 )
-from play_launch.supervisor.exit_code import ExitCode, exit_code
+from play_launch.supervisor.outcome import ExitCode
+from play_launch.supervisor.view import exit_code, has_failed
 from play_launch.supervisor.world import Phase
 
 from .person import unit_of
@@ -266,7 +267,7 @@ class RestChecks:
                 for each in expected.containers.values()
                 if each.state is not ContainerState.RUNNING or each.loaded != each.total
             ]
-            failed = [name for name, each in expected.processes.items() if each.failed]
+            failed = [name for name, each in expected.processes.items() if has_failed(each)]
             if down or failed:
                 raise BrokenError(CODE, f"0, although {down} {failed}")
         if code == ExitCode.NODES_MISSING and not seen.dismissed and not seen.unsure:

@@ -22,8 +22,13 @@ from play_launch.supervisor.events import (
     SubjectKind,
     Withdrawn,
 )
-from play_launch.supervisor.exit_code import ExitCode, crashed_while_stopped, exit_code
-from play_launch.supervisor.view import SystemView
+from play_launch.supervisor.outcome import ExitCode
+from play_launch.supervisor.view import (
+    SystemView,
+    crashed_while_stopped,
+    exit_code,
+    has_failed,
+)
 
 
 def node(state: NodeState, index: int = 0, stamp_ns: int = 1, **more: Any) -> NodeStateChanged:
@@ -63,7 +68,7 @@ def test_counts_declared_and_loaded_nodes() -> None:
 
 def test_a_repeated_report_does_not_move_the_beginning() -> None:
     view = fold(node(NodeState.LOADING, stamp_ns=5), node(NodeState.LOADING, stamp_ns=9))
-    assert view.waiting[0].since_ns == 5
+    assert view.waiting[0].stamp_ns == 5
 
 
 def test_a_container_s_process_is_no_process_of_its_own() -> None:
@@ -165,9 +170,9 @@ def test_who_is_given_up_while_it_still_runs_stays_given_up_when_it_ends() -> No
         event(ProcessEventKind.EXITED),
     ):
         view = view.after(each)
-    assert view.processes["/p"].failed
+    assert has_failed(view.processes["/p"])
     assert view.processes["/p"].message == "internal error"
-    assert not view.after(event(ProcessEventKind.STARTED)).processes["/p"].failed
+    assert not has_failed(view.after(event(ProcessEventKind.STARTED)).processes["/p"])
 
 
 def test_what_was_taken_out_counts_no_more() -> None:

@@ -13,18 +13,20 @@ from play_launch.cli.output import RED, RESET, YELLOW, counted, duration, printa
 from play_launch.config.node_key import NodeKey
 from play_launch.process.exit import UNKNOWN_STATUS, Exit
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind, SubjectKind
+from play_launch.supervisor.view import has_failed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from play_launch.cli.run import GroupTotal
     from play_launch.recording.limits import RecordingSummary
-    from play_launch.supervisor.view import ContainerView, ProcessView, SystemView
+    from play_launch.supervisor.events import ProcessEvent
+    from play_launch.supervisor.view import ContainerView, SystemView
 
     Used = Mapping[tuple[SubjectKind, str], GroupTotal]
     _Cell = str | int | tuple[str | int, str]
     """Its text, and its colour if it has one."""
-    from play_launch.supervisor.view import NodeView
+    from play_launch.supervisor.events import NodeStateChanged
 
 _NO_GROUPS: Final[Used] = {}
 
@@ -127,12 +129,12 @@ class Summary(Struct, frozen=True):
             "recording": {**recording, "path": str(self.recording.path)},
         }
 
-    def _at_end(self, process: ProcessView) -> str:
+    def _at_end(self, process: ProcessEvent) -> str:
         final = self.final.processes.get(process.name, process)
         return process_at_end(process, final, dismissed=process.name in self.view.dismissed)
 
-    def _has_failed(self, process: ProcessView) -> bool:
-        return process.failed and process.name not in self.view.dismissed
+    def _has_failed(self, process: ProcessEvent) -> bool:
+        return has_failed(process) and process.name not in self.view.dismissed
 
 
 def _alarm(number: int) -> _Cell:
@@ -182,7 +184,7 @@ def _container_object(container: ContainerView, final: ContainerView) -> dict[st
     }
 
 
-def _end_object(process: ProcessView) -> dict[str, object]:
+def _end_object(process: ProcessEvent) -> dict[str, object]:
     """Return the end of its last process; null if unknown or still running."""
     has_ended = process.kind is ProcessEventKind.EXITED
     is_known = not process.signal and process.exit_code != UNKNOWN_STATUS
@@ -206,7 +208,7 @@ def container_status(container: ContainerView, now_ns: int = 0) -> str:
     """
     if container.state is not ContainerState.RUNNING:
         is_starting = container.state is ContainerState.STARTING
-        waited = _waited(container.since_ns, now_ns) if is_starting else ""
+        waited = _waited(container.stamp_ns, now_ns) if is_starting else ""
         return _because(container.state.value, container.reason) + waited
     parts = [f"loaded {container.loaded}/{container.total}"]
     if container.failed:
@@ -214,7 +216,7 @@ def container_status(container: ContainerView, now_ns: int = 0) -> str:
     if container.unloaded:
         parts.append(f"unloaded: {_names(container.unloaded)}")
     if waiting := container.waiting:
-        oldest = min(node.since_ns for node in waiting)
+        oldest = min(node.stamp_ns for node in waiting)
         parts.append(f"waiting on {_names(waiting)}{_waited(oldest, now_ns)}")
     return ", ".join(parts)
 
@@ -224,7 +226,7 @@ def is_complete(container: ContainerView) -> bool:
     return container.state is ContainerState.RUNNING and container.loaded == container.total
 
 
-def process_status(process: ProcessView) -> str:
+def process_status(process: ProcessEvent) -> str:
     """Describe an ordinary process: ``running``, ``exited with signal 11 (SIGSEGV)`` …."""
     match process.kind:
         case ProcessEventKind.EXITED:
@@ -255,7 +257,7 @@ def container_at_end(before: ContainerView, after: ContainerView) -> str:
     return "; ".join(each for each in (state, crashes, stopped) if each)
 
 
-def process_at_end(before: ProcessView, after: ProcessView, *, dismissed: bool = False) -> str:
+def process_at_end(before: ProcessEvent, after: ProcessEvent, *, dismissed: bool = False) -> str:
     """Describe an ordinary process of a run that is over.
 
     Args:
@@ -278,7 +280,7 @@ def process_at_end(before: ProcessView, after: ProcessView, *, dismissed: bool =
             return process_status(after)
 
 
-def stop_problem(process: ProcessView) -> str:
+def stop_problem(process: ProcessEvent) -> str:
     """Describe an unexpected end of a stopped process; empty if it exited as expected."""
     # A shell reports a signal as 128 more.
     expected = {0, *(128 + number for number in _STOP_SIGNALS)}
@@ -290,7 +292,7 @@ def stop_problem(process: ProcessView) -> str:
     return f"stopped: {ending(process)}"
 
 
-def ending(process: ProcessView) -> str:
+def ending(process: ProcessEvent) -> str:
     """Describe the end of a process."""
     return str(Exit(code=process.exit_code, signal=process.signal))
 
@@ -300,7 +302,7 @@ def _waited(since_ns: int, now_ns: int) -> str:
     return f" … {duration(waited)}" if since_ns and waited >= _SHOWN_AFTER_NS else ""
 
 
-def _names(nodes: tuple[NodeView, ...]) -> str:
+def _names(nodes: tuple[NodeStateChanged, ...]) -> str:
     more = f" and {len(nodes) - 1} more" if len(nodes) > 1 else ""
     return f"{nodes[0].node}{more}"
 
