@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, TypeAlias
 
 import msgspec
 import typer
 
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import OutputError, fail, printable, say, write_file
+from play_launch.cli.output import fail, printable, say
 from play_launch.postmortem import comparison
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.comparison import (
@@ -21,12 +21,11 @@ from play_launch.postmortem.comparison import (
     ParameterChange,
 )
 from play_launch.postmortem.parameters import shortened
-from play_launch.postmortem.report.comparison import Words, comparison_page, scaled
-from play_launch.postmortem.story import read_story
+from play_launch.postmortem.timeline import read_timeline
 from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
 _MOST_LINES: Final = 50
 """Of one section."""
@@ -38,6 +37,20 @@ _SAYS: Final = {
 }
 
 
+Section: TypeAlias = "tuple[str, Sequence[str]]"
+"""A title and its lines."""
+
+
+class Words(NamedTuple):
+    """A comparison in words."""
+
+    verdict: str
+    reasons: Sequence[Section]
+    """What is worse, what is better."""
+    others: Sequence[Section]
+    """What only one session has, and what else differs."""
+
+
 def compare(
     first: Annotated[
         Path, typer.Argument(metavar="A", help="The earlier session.", show_default=False)
@@ -45,36 +58,19 @@ def compare(
     second: Annotated[
         Path, typer.Argument(metavar="B", help="The later session.", show_default=False)
     ],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Write an HTML page with all numbers as well.",
-            show_default=False,
-        ),
-    ] = None,
     as_json: options.Json = False,
 ) -> int:
     """Compare two sessions: bring-up, restarts, crashes, memory and CPU of each node.
 
     Exits with 1 if the second one is worse: a new crash, a node that is not loaded, one more
     restart, or an increase by half of time (and a second), memory (and 64 MB) or CPU (and 10 % of a
-    core); also if the page cannot be written. Exits with 2 if a file is not a recording, with 5 if
-    one could not be read completely.
+    core). Exits with 2 if a file is not a recording, with 5 if one could not be read completely.
     """
     try:
-        stories = read_story(first), read_story(second)
+        sessions = read_timeline(first), read_timeline(second)
     except NotARecordingError as error:
         fail(str(error))
-    found = comparison.compare(*stories)
-    words = _words(found)
-    if output is not None:
-        try:
-            write_file(output, comparison_page(stories, found, words))
-        except OutputError as error:
-            fail(str(error), ExitCode.NODE_FAILED)
+    found = comparison.compare(*sessions)
     if as_json:
         values = {
             "first": _text(first),
@@ -86,11 +82,11 @@ def compare(
             {**msgspec.to_builtins(each), "worse": each.is_worse, "better": each.is_better}
             for each in found.changes
         ]
-        say(msgspec.json.encode(values).decode(), beside=output)
+        say(msgspec.json.encode(values).decode())
     else:
-        for line in _lines(words):
-            say(printable(line), beside=output)
-    damaged = [report_damage(story.session.reader) for story in stories]
+        for line in _lines(_words(found)):
+            say(printable(line))
+    damaged = [report_damage(each.session.reader) for each in sessions]
     if any(damaged):
         return ExitCode.DAMAGED
     return ExitCode.NODE_FAILED if found.is_worse else ExitCode.OK
@@ -134,7 +130,9 @@ def _words(found: Comparison) -> Words:
 
 
 def _change(change: Change) -> str:
-    return f"{change.who} {_SAYS[change.measure].format(*scaled(change))}"
+    scale = 1e-6 if change.measure is Measure.PEAK_MEMORY else 1.0
+    words = _SAYS[change.measure].format(change.before * scale, change.after * scale)
+    return f"{change.who} {words}"
 
 
 def _crash(change: CrashChange, how_often: str) -> str:

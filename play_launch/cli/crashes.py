@@ -14,7 +14,7 @@ from play_launch.cli import options
 from play_launch.cli.output import counted, fail, printable, say, warn
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.crash_groups import CrashGroup, CrashGroups
-from play_launch.postmortem.story import read_story
+from play_launch.postmortem.timeline import read_timeline
 from play_launch.recording.folder import ACTIVE_SUFFIX, part_file
 from play_launch.supervisor.outcome import ExitCode
 
@@ -43,12 +43,12 @@ def crashes(
     unread: list[str] = []
     for path in recordings(folder, unread):
         try:
-            story = read_story(path, only_failures=True)
+            timeline = read_timeline(path, only_failures=True)
         except NotARecordingError as error:
             unread.append(str(error))
             continue
-        groups.add(story)
-        unread += [f"{path}: {damage}" for damage in story.session.reader.damages]
+        groups.add(timeline)
+        unread += [f"{path}: {damage}" for damage in timeline.session.reader.damages]
         count += 1
     if count == 0 and not unread:
         fail(f"{folder}: there is no recording (*.mcap) in it")

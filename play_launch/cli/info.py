@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Any
 from play_launch.cli import options
 from play_launch.cli.output import counted, fail, note, printable, say, warn
 from play_launch.postmortem.bag_reader import NotARecordingError
-from play_launch.postmortem.crash_groups import crashes_of
-from play_launch.postmortem.story import read_story
+from play_launch.postmortem.timeline import read_timeline
 from play_launch.recording.bag import PART_METADATA
 from play_launch.recording.recorder import DROPS_METADATA
 from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from play_launch.postmortem.bag_reader import BagReader
-    from play_launch.postmortem.story import Story
+    from play_launch.postmortem.timeline import Timeline
 
 
 def info(file: options.Recording, as_json: options.Json = False) -> int:
@@ -28,12 +27,12 @@ def info(file: options.Recording, as_json: options.Json = False) -> int:
     2 if the file is not a recording.
     """
     try:
-        story = read_story(file, only_failures=True)
+        timeline = read_timeline(file, only_failures=True)
     except NotARecordingError as error:
         fail(str(error))
-    found = session_object(story)
+    found = session_object(timeline)
     say(json.dumps(found) if as_json else "\n".join(_lines(found)))
-    return ExitCode.DAMAGED if report_damage(story.session.reader) else 0
+    return ExitCode.DAMAGED if report_damage(timeline.session.reader) else 0
 
 
 def report_damage(reader: BagReader) -> bool:
@@ -47,19 +46,14 @@ def report_damage(reader: BagReader) -> bool:
     return bool(reader.damages) or not reader.is_complete
 
 
-def session_object(story: Story) -> dict[str, Any]:
+def session_object(timeline: Timeline) -> dict[str, Any]:
     """Give what is known about a session that was read to its end, as plain values."""
-    session = story.session
-    reader, view = session.reader, session.view
+    session, reader, size = timeline.session, timeline.session.reader, timeline.size()
     crashes: Counter[str] = Counter()
-    for finding in crashes_of(story):
-        crashes[finding.who] += len(finding.times_ns)
+    for failure in timeline.crashes:
+        crashes[failure.who] += len(failure.times)
     seconds = (reader.end - reader.begin) / 1e9
-    nodes = [node for container in view.containers.values() for node in container.nodes.values()]
-    processes = {
-        **{name: each.process for name, each in view.containers.items()},
-        **view.processes,
-    }
+    again = [unit for unit in timeline.units if unit.restarts and not unit.is_withdrawn]
     return {
         "path": str(reader.path),
         "files": list(reader.files),
@@ -70,12 +64,12 @@ def session_object(story: Story) -> dict[str, Any]:
         "session": session.about,
         "started_ns": session.started_ns + reader.ahead_ns,
         "duration_s": seconds,
-        "containers": len(view.containers),
-        "nodes": len(nodes),
-        "processes": len(view.processes),
+        "containers": size["container"],
+        "nodes": size["node"],
+        "processes": size["process"],
         "crashes": dict(crashes),
-        "reloads": {node.node: node.reloads for node in nodes if node.reloads},
-        "restarts": {name: each.restarts for name, each in processes.items() if each.restarts},
+        "reloads": {unit.name: unit.restarts for unit in again if unit.container},
+        "restarts": {unit.name: unit.restarts for unit in again if not unit.container},
         "topic_drops": {
             name: int(count)
             for name, count in reader.metadata.get(DROPS_METADATA, {}).items()

@@ -12,11 +12,11 @@ import msgspec
 import typer
 
 from play_launch.cli import options
+from play_launch.cli.explain import change
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import clock_times, fail, printable, redirect_to_devnull
 from play_launch.cli.show.display import encode
 from play_launch.cli.show.lines import DisplayLine, line_of
-from play_launch.cli.story_words import change
 from play_launch.config.values import parse_duration
 from play_launch.control.event_words import event_object, names_of
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError

@@ -5,19 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from play_launch.cli import options
+from play_launch.cli.explain import details, headline
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import OutputError, fail, say, size, write_file
-from play_launch.cli.story_words import details, headline
 from play_launch.postmortem.bag_reader import NotARecordingError
-from play_launch.postmortem.findings import IMPORTANCE
+from play_launch.postmortem.findings import findings
 from play_launch.postmortem.locate import located
-from play_launch.postmortem.report.facts import contents
-from play_launch.postmortem.report.gather import Gathering
+from play_launch.postmortem.report.facts import Point, contents
+from play_launch.postmortem.report.gather import Gathered
 from play_launch.postmortem.report.page import render
 from play_launch.postmortem.report.parameters import parameters_shown
-from play_launch.postmortem.report.story import Point
-from play_launch.postmortem.session import PastSession
-from play_launch.postmortem.story import Telling
+from play_launch.postmortem.timeline import Timeline
 from play_launch.recording.folder import beside
 from play_launch.supervisor.outcome import ExitCode
 
@@ -35,32 +33,31 @@ def report(file: options.Recording, output: options.OutputBeside = None) -> int:
     exits with 5 then, with 2 if the file is not a recording, with 1 if the page cannot be written.
     """
     output = output or beside(file, ".html")
-    session = PastSession(file)
-    telling, gathering = Telling(session), Gathering(session)
+    timeline = Timeline(file)
+    gathered = Gathered(timeline)
     try:
-        # Reading takes longest, so both look at each message.
-        for message in session.reader.messages():
-            telling.take(message)
-            gathering.take(message)
-        points = _points(telling.findings(), session.started_ns)
-        parameters = parameters_shown(telling.parameters, session.started_ns)
-        every = contents(session, gathering.finish(), tuple(points), parameters)
+        for message, event in timeline.messages():
+            gathered.take(message, event)
+        gathered.finish()
+        started_ns = timeline.session.started_ns
+        points = tuple(_points(findings(timeline), started_ns))
+        every = contents(gathered, points, parameters_shown(timeline.parameters, started_ns))
         count = write_file(output, render(every))
     except NotARecordingError as error:
         fail(str(error))
     except OutputError as error:
         fail(str(error), ExitCode.NODE_FAILED)
     say(f"{output}: {size(count)}", beside=output)
-    return ExitCode.DAMAGED if report_damage(session.reader) else 0
+    return ExitCode.DAMAGED if report_damage(timeline.session.reader) else 0
 
 
-def _points(findings: Sequence[Finding], started_ns: int) -> Iterator[Point]:
+def _points(found: Sequence[Finding], started_ns: int) -> Iterator[Point]:
     """Give what ``explain`` says."""
-    for finding in located(findings):
+    for finding in located(found):
         yield Point(
             headline(finding, started_ns),
             tuple(details(finding)),
             (finding.at_ns - started_ns) / 1e6,
             finding.who,
-            IMPORTANCE[finding.kind].is_failure,
+            finding.is_failure,
         )

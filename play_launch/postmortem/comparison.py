@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.postmortem.crash_groups import crashes_of
 from play_launch.postmortem.frames import Signature  # noqa: TC001 - a field of a Struct
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from play_launch.postmortem.parameters import Parameters
-    from play_launch.postmortem.story import Story
+    from play_launch.postmortem.timeline import Timeline
 
 
 class Measure(StrEnum):
@@ -112,11 +111,11 @@ class Comparison(Struct, frozen=True):
         )
 
 
-def compare(first: Story, second: Story) -> Comparison:
+def compare(first: Timeline, second: Timeline) -> Comparison:
     """Compare two sessions, which were read to their ends."""
     crashes = _crash_changes(first, second)
     old, new = _members(first), _members(second)
-    loaded = first.bring_up.keys() - second.bring_up.keys()
+    loaded = _bring_up(first).keys() - _bring_up(second).keys()
     return Comparison(
         changes=tuple(_changes(first, second)),
         new_crashes=tuple(each for each in crashes if each.before == 0),
@@ -130,36 +129,40 @@ def compare(first: Story, second: Story) -> Comparison:
     )
 
 
-def _changes(first: Story, second: Story) -> Iterator[Change]:
+def _changes(first: Timeline, second: Timeline) -> Iterator[Change]:
     for measure in Measure:
         before, after = _numbers(first, measure), _numbers(second, measure)
         for who in sorted(before.keys() & after.keys()):
             yield Change(measure, who, before[who], after[who])
 
 
-def _numbers(story: Story, measure: Measure) -> Mapping[str, float]:
+def _numbers(timeline: Timeline, measure: Measure) -> Mapping[str, float]:
     match measure:
         case Measure.BRING_UP:
-            return {key: ns / 1e9 for key, ns in story.bring_up.items()}
+            return _bring_up(timeline)
         case Measure.PEAK_MEMORY:
-            return story.samples.peak_memory()
+            return timeline.samples.peak_memory()
         case Measure.CPU:
-            return story.samples.mean_cpu()
+            return timeline.samples.mean_cpu()
         case Measure.RESTARTS:
-            return _restarts(story)
+            return _restarts(timeline)
 
 
-def _restarts(story: Story) -> dict[str, float]:
-    view = story.session.view
-    found: dict[str, float] = {name: each.restarts for name, each in view.processes.items()}
-    for container in view.containers.values():
-        found[container.name] = container.process.restarts
-        found |= {str(key): node.reloads for key, node in container.nodes.items()}
-    return found
+def _bring_up(timeline: Timeline) -> dict[str, float]:
+    started = timeline.session.started_ns
+    return {each.key: (each.loaded_ns - started) / 1e9 for each in timeline.units if each.loaded_ns}
 
 
-def _members(story: Story) -> set[str]:
-    return set(_restarts(story))
+def _restarts(timeline: Timeline) -> dict[str, float]:
+    return {
+        each.key: each.restarts
+        for each in timeline.units
+        if each.is_known and not each.is_withdrawn
+    }
+
+
+def _members(timeline: Timeline) -> set[str]:
+    return set(_restarts(timeline))
 
 
 def _parameters(first: Parameters, second: Parameters) -> Iterator[ParameterChange]:
@@ -173,7 +176,7 @@ def _parameters(first: Parameters, second: Parameters) -> Iterator[ParameterChan
                 yield ParameterChange(node, name, before, after)
 
 
-def _crash_changes(first: Story, second: Story) -> list[CrashChange]:
+def _crash_changes(first: Timeline, second: Timeline) -> list[CrashChange]:
     before, after = _crashes(first), _crashes(second)
     nothing: tuple[int, tuple[str, ...]] = (0, ())
     changes = []
@@ -183,12 +186,12 @@ def _crash_changes(first: Story, second: Story) -> list[CrashChange]:
     return changes
 
 
-def _crashes(story: Story) -> dict[Signature, tuple[int, tuple[str, ...]]]:
+def _crashes(timeline: Timeline) -> dict[Signature, tuple[int, tuple[str, ...]]]:
     found: dict[Signature, tuple[int, tuple[str, ...]]] = {}
-    for finding in crashes_of(story):
-        assert finding.signature is not None
-        count, who = found.get(finding.signature, (0, ()))
-        found[finding.signature] = (count + len(finding.times_ns), (*who, finding.who))
+    for failure in timeline.crashes:
+        assert failure.signature is not None
+        count, who = found.get(failure.signature, (0, ()))
+        found[failure.signature] = (count + len(failure.times), (*who, failure.who))
     return found
 
 

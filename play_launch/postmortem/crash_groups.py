@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from play_launch.postmortem.findings import is_crash
 from play_launch.postmortem.frames import Signature  # noqa: TC001 - a field of a Struct
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from play_launch.postmortem.bag_reader import BagReader
-    from play_launch.postmortem.findings import Finding
-    from play_launch.postmortem.story import Story
+    from play_launch.postmortem.timeline import Timeline
+    from play_launch.postmortem.units import Failure
 
 
 class CrashGroup(Struct, frozen=True, kw_only=True):
@@ -38,11 +37,6 @@ class CrashGroup(Struct, frozen=True, kw_only=True):
     """Path of the latest recording that has it."""
 
 
-def crashes_of(story: Story) -> list[Finding]:
-    """Give the crashes of a session."""
-    return [one for one in story.findings if is_crash(one.kind, one.signature)]
-
-
 class CrashGroups:
     """Takes sessions one after the other, and keeps no more of them than is asked for."""
 
@@ -50,14 +44,14 @@ class CrashGroups:
         """Begin without any."""
         self._groups: dict[Signature, CrashGroup] = {}
 
-    def add(self, story: Story) -> None:
+    def add(self, timeline: Timeline) -> None:
         """Take the crashes of a session."""
         seen: set[Signature] = set()
-        version = story.session.about.get("play_launch_version", "")
-        for finding in crashes_of(story):
-            signature = finding.signature
+        version = timeline.session.about.get("play_launch_version", "")
+        for failure in timeline.crashes:
+            signature = failure.signature
             assert signature is not None
-            one = _group(signature, finding, version, story.session.reader)
+            one = _group(signature, failure, version, timeline.session.reader)
             known = self._groups.get(signature)
             merged = one if known is None else _merged(known, one, again=signature in seen)
             self._groups[signature] = merged
@@ -68,24 +62,24 @@ class CrashGroups:
         return tuple(sorted(self._groups.values(), key=lambda one: (-one.count, -one.last_ns)))
 
 
-def _group(signature: Signature, finding: Finding, version: str, reader: BagReader) -> CrashGroup:
+def _group(signature: Signature, failure: Failure, version: str, reader: BagReader) -> CrashGroup:
     places = "\n".join(signature.frames)
     builds = (
         f"{module.name} {module.build_id[:12]}"
-        for module in finding.modules
+        for module in failure.modules
         if f"({module.name})" in places
     )
     return CrashGroup(
         signature=signature,
-        count=len(finding.times_ns),
+        count=len(failure.times),
         # Of several sessions only those by a clock that was set are in order.
-        first_ns=min(finding.times_ns) + reader.ahead_ns,
-        last_ns=max(finding.times_ns) + reader.ahead_ns,
+        first_ns=min(failure.times) + reader.ahead_ns,
+        last_ns=max(failure.times) + reader.ahead_ns,
         sessions=1,
-        nodes=(finding.who,),
+        nodes=(failure.who,),
         versions=tuple(filter(None, (version,))),
         builds=tuple(sorted(builds)),
-        cause=finding.cause,
+        cause=failure.cause,
         example=str(reader.path),
     )
 

@@ -6,7 +6,10 @@ import json
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
-from play_launch.postmortem.findings import Place
+from msgspec import Struct
+
+from play_launch.postmortem.frames import Frame  # noqa: TC001 - a field of a Struct
+from play_launch.postmortem.source_lines import SourceLine  # noqa: TC001 - as above
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -14,6 +17,20 @@ if TYPE_CHECKING:
     from mcap.records import Attachment
 
 RESOLVED: str = "resolved_config.json"
+
+
+class Place(Struct, frozen=True, kw_only=True):
+    """Where something happened; what is not known is empty."""
+
+    frame: Frame | None = None
+    line: SourceLine | None = None
+    package: str = ""
+    plugin: str = ""
+    container: str = ""
+    config: str = ""
+    """``robot.yaml:12``: where it is declared."""
+    command: tuple[str, ...] = ()
+    """Of an ordinary process or a container."""
 
 
 def declared_places(attachments: Mapping[str, Attachment]) -> dict[str, Place]:

@@ -40,7 +40,6 @@ HEAD = ("bash", "-c", 'set -o pipefail; "$@" | head -1', "bash")
 WRITERS = (
     ("report", "GOOD", "-o", "OUTPUT"),
     ("export", "GOOD", "-o", "OUTPUT"),
-    ("compare", "GOOD", "GOOD", "-o", "OUTPUT"),
 )
 
 
@@ -252,7 +251,6 @@ def test_names_of_files_do_nothing_to_the_terminal(tmp_path: Path, good: Path) -
     [
         (("report", "good.mcap", "-o"), b"<!doctype html>"),
         (("export", "good.mcap", "-o"), b"{"),
-        (("compare", "good.mcap", "good.mcap", "-o"), b"<!doctype html>"),
         (("recover", "good.mcap", "-o"), b"\x89MCAP"),
         (("dump", "a.launch.py", "-o"), b"# From a.launch.py"),
         (("init",), b"# yaml-language-server"),

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from play_launch.supervisor.events import NodeState, ProcessEventKind
+from play_launch.supervisor.outcome import Cause, Sequel
 from tests.postmortem.scenes import Scene
 from tests.support.replay import COMMAND
 
@@ -84,8 +85,13 @@ def test_many_findings_stay_readable(tmp_path: Path) -> None:
     for number in range(9):
         made.crashed(number, f"/node_{number}", f"demo::f{number}()")
         for pause in range(20):
-            again = f"it is loaded again in {pause} s"
-            made.crashed(number + 0.1, f"/node_{number}", f"demo::f{number}()", sequel=again)
+            made.crashed(
+                number + 0.1,
+                f"/node_{number}",
+                f"demo::f{number}()",
+                sequel=("", Sequel.RELOAD),
+                delay_ns=pause * 10**9,
+            )
             made.node(number + 0.2, f"/node_{number}", NodeState.LOADED)
     bag = made.record(tmp_path / "x.mcap")
     text = run("explain", bag).stdout
@@ -171,8 +177,7 @@ def test_a_worse_session_is_told_by_its_exit_code(
 def test_crashes_that_both_sessions_have_are_counted(tmp_path: Path) -> None:
     fewer = scene(crashes=1).record(tmp_path / "fewer.mcap")
     more = scene(crashes=3).record(tmp_path / "more.mcap")
-    page = tmp_path / "page.html"
-    result = run("compare", fewer, more, "-o", page)
+    result = run("compare", fewer, more)
     assert result.returncode == 1
     assert re.search(
         r"^Worse:\n  more crashes: \w{8} SIGSEGV in demo::tick \(libdemo.so\), "
@@ -180,8 +185,6 @@ def test_crashes_that_both_sessions_have_are_counted(tmp_path: Path) -> None:
         result.stdout,
         re.MULTILINE,
     )
-    numbers = '<td class="number">1</td><td class="number">3</td><td><bdi>SIGSEGV in demo::tick'
-    assert numbers in page.read_text(encoding="utf-8")
     back = json.loads(run("compare", more, fewer, "--json").stdout)
     assert not back["worse"]
     (crash,) = back["fewer_crashes"]
@@ -207,9 +210,6 @@ def test_parameters_that_differ_are_listed(tmp_path: Path) -> None:
     values = json.loads(run("compare", *paths, "--json").stdout)["parameters"]
     assert values[-1] == {"node": "/talker", "name": "rate", "before": "1.0", "after": "2.5"}
     assert values[-2]["after"] is None
-    page = tmp_path / "page.html"
-    run("compare", *paths, "-o", page)
-    assert "/talker rate: 1.0 -&gt; 2.5" in page.read_text(encoding="utf-8")
 
 
 def test_a_name_that_is_no_utf_8_is_compared(tmp_path: Path, good: Path) -> None:
@@ -241,7 +241,7 @@ def test_all_commands_count_the_same_crashes(tmp_path: Path) -> None:
     made.crashed(4, "/constructor", in_constructor=True)
     made.node(5, "/refused", NodeState.LOAD_FAILED, reason="no such class")
     made.process(8, ProcessEventKind.STOPPING)
-    made.crashed(9, "/deaf", signal=9, error_message="SIGKILL", crashes=1)
+    made.crashed(9, "/deaf", signal=9, error_message="SIGKILL", cause=Cause.STOP_TIMEOUT)
     bag = made.record(tmp_path / "session.mcap")
 
     assert json.loads(run("info", bag, "--json").stdout)["crashes"] == {
@@ -278,7 +278,7 @@ def test_the_commands_of_the_page_work(tmp_path: Path) -> None:
     commands = re.findall(r"^\$ play-launch (.+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
     codes = [run(*command.split(), cwd=tmp_path).returncode for command in commands]
     # The scene has no inputs that could be decided once more.
-    assert codes == [1, 0, 0, 0, 5]
+    assert codes == [1, 0, 0, 5]
 
 
 def damaged(whole: bytes) -> list[bytes]:

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from play_launch.postmortem.elf_files import read_elf
-from play_launch.postmortem.story import read_story
+from play_launch.postmortem.timeline import read_timeline
 from tests.support.mounts import mounted
 from tests.support.replay import COMMAND, replaying
 from tests.support.waiting import until
@@ -325,7 +325,7 @@ def spinning(core: int, nice: int) -> str:
 
 def most_used(recording: Path) -> float:
     """Percent of a core that one process got, on average."""
-    return max(read_story(recording).samples.mean_cpu().values())
+    return max(read_timeline(recording).samples.mean_cpu().values())
 
 
 @pytest.mark.skipif(not Path("/proc/pressure/cpu").exists(), reason="no pressure stall information")

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from msgspec.structs import replace
+
 from play_launch.config.model import ParameterType
 from play_launch.config.node_key import NodeKey
 from play_launch.container.cdr.messages import NODE_PARAMETERS, PARAMETER_EVENT
-from play_launch.postmortem.story import read_story
+from play_launch.postmortem.findings import Finding, findings
+from play_launch.postmortem.timeline import Timeline, read_timeline
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
@@ -30,16 +33,20 @@ from play_launch.supervisor.events import (
     SubjectKind,
     SystemSample,
 )
+from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from play_launch.postmortem.story import Story
+    from play_launch.postmortem.parameters import Parameters
     from play_launch.recording.topics import Topic
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
 NAN = float("nan")
+RELOADED = ("it is loaded again at once", Sequel.RELOAD)
+"""What the supervisor does, in the words of the first version and as a code."""
+STAYS = ("it stays away", Sequel.NONE)
 TYPES = {
     ParameterType.BOOL: bool,
     ParameterType.INTEGER: int,
@@ -58,6 +65,8 @@ class Scene:
     events: list[RunEvent] = field(default_factory=list)
     messages: list[tuple[int, Topic, bytes]] = field(default_factory=list)
     """Others, with their times."""
+    has_codes: bool = True
+    """Whether events have codes; those of the first version have sentences only."""
 
     def parameters(self, at: float, node: str, **values: Any) -> None:
         """What a node answered when it was asked."""
@@ -79,12 +88,15 @@ class Scene:
 
     def node(self, at: float, name: str, state: NodeState, **fields: Any) -> None:
         key = NodeKey(fields.pop("container", "/box"), name)
+        fields = {"cause": Cause.NONE} | fields
         self.events.append(NodeStateChanged(stamp_ns=ns(at), key=key, state=state, **fields))
 
     def container(self, at: float, state: ContainerState, name: str = "/box") -> None:
         self.events.append(ContainerStateChanged(stamp_ns=ns(at), container=name, state=state))
 
     def process(self, at: float, kind: ProcessEventKind, name: str = "/box", **fields: Any) -> None:
+        has_failed = fields.get("signal") or fields.get("exit_code")
+        fields = {"cause": Cause.SIGNAL if has_failed else Cause.NONE} | fields
         self.events.append(ProcessEvent(stamp_ns=ns(at), kind=kind, name=name, **fields))
 
     def line(self, at: float, text: str, process: str = "/box") -> None:
@@ -114,7 +126,8 @@ class Scene:
             "pid": 7,
             **fields,
         }
-        sequel = str(report.pop("sequel", "it is loaded again at once"))
+        words, sequel = report.pop("sequel", RELOADED)
+        cause, delay_ns = report.pop("cause", Cause.SIGNAL), report.pop("delay_ns", 0)
         self.events.append(
             ComponentEvent(
                 stamp_ns=ns(at),
@@ -129,7 +142,10 @@ class Scene:
             )
         )
         said = {
-            "reason": "; ".join(filter(None, (report["error_message"], sequel))),
+            "reason": "; ".join(filter(None, (report["error_message"], words))),
+            "cause": cause,
+            "sequel": sequel,
+            "delay_ns": delay_ns,
             "crashes": crashes,
             "pid": report["pid"],
         }
@@ -193,7 +209,7 @@ class Scene:
         messages = self.messages + [
             (event.stamp_ns, recorded.topic, recorded.data)
             for event in self.events
-            for recorded in convert(event)
+            for recorded in convert(event if self.has_codes else without_codes(event))
         ]
         flushed = 0
         for stamp, topic, data in messages:
@@ -211,7 +227,31 @@ class Scene:
         return path.with_name(f"{path.name}.active")
 
     def story(self, folder: Path) -> Story:
-        return read_story(self.record(folder / "session.mcap"))
+        return story_of(self.record(folder / "session.mcap"))
+
+
+@dataclass
+class Story:
+    """What a recording tells."""
+
+    timeline: Timeline
+    findings: tuple[Finding, ...]
+
+    @property
+    def parameters(self) -> Parameters:
+        return self.timeline.parameters
+
+
+def story_of(path: Path, *, only_failures: bool = False) -> Story:
+    timeline = read_timeline(path, only_failures=only_failures)
+    return Story(timeline, findings(timeline))
+
+
+def without_codes(event: RunEvent) -> RunEvent:
+    """The same event of the version that wrote no codes."""
+    if isinstance(event, NodeStateChanged | ProcessEvent | ContainerStateChanged):
+        return replace(event, cause=Cause.NOT_RECORDED, sequel=Sequel.NONE, delay_ns=0, culprit="")
+    return event
 
 
 def parameters(values: dict[str, Any]) -> tuple[dict[str, Any], ...]:

@@ -97,10 +97,6 @@ VERBS = {
         lambda bag, _: compare(bag, bag, as_json=False),
         lambda bag, _: ("compare", bag, bag),
     ),
-    "compare --output": Verb(
-        lambda bag, output: compare(bag, bag, output, as_json=False),
-        lambda bag, output: ("compare", bag, bag, "-o", output),
-    ),
     "report": Verb(
         write_report,
         lambda bag, output: ("report", bag, "-o", output),

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.cli.story_words import paragraphs
+from play_launch.cli.explain import paragraphs
 from play_launch.container.cdr.messages import NODE_PARAMETERS
 from play_launch.postmortem.bag_reader import Message, RecordedTopic
 from play_launch.postmortem.comparison import ParameterChange, compare
@@ -22,7 +22,7 @@ from play_launch.postmortem.parameters import (
     ParametersOfALife,
     shortened,
 )
-from play_launch.postmortem.story import read_story
+from play_launch.postmortem.timeline import read_timeline
 from play_launch.recording import topics
 from play_launch.supervisor.events import NodeState
 from tests.postmortem.scenes import Scene, ns
@@ -81,7 +81,7 @@ def test_what_differs_between_two_sessions(tmp_path: Path) -> None:
     after.no_parameters(1, "/deaf", "it did not answer in time")
     before.parameters(1, "/only", a=1)
     paths = before.record(tmp_path / "a.mcap"), after.record(tmp_path / "b.mcap")
-    found = compare(*map(read_story, paths))
+    found = compare(*map(read_timeline, paths))
     assert found.parameters == (
         ParameterChange("/arm", "gone", '"x"', None),
         ParameterChange("/arm", "new", None, "true"),
@@ -143,7 +143,7 @@ def test_a_failure_names_the_parameters_of_that_life(tmp_path: Path) -> None:
         (Changed(ns(3), "speed", "1.0", "2.0"),),
     )
     assert second.parameters is None
-    lines = [line.strip() for line in paragraphs(story.findings, story.session)]
+    lines = [line.strip() for line in paragraphs(story.findings, story.timeline)]
     assert "Its parameter speed changed from 1.0 to 2.0 500 ms before." in lines
     assert 'Its parameters: speed 2.0, tool "gripper".' in lines
     assert sum("parameter" in line for line in lines) == 2

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from play_launch.postmortem.elf_files import debug_files, read_elf
-from play_launch.postmortem.findings import Finding, Kind
+from play_launch.postmortem.findings import Finding
 from play_launch.postmortem.frames import Frame, frame_of
 from play_launch.postmortem.locate import located
 from play_launch.postmortem.source_lines import (
@@ -199,7 +199,9 @@ def test_a_library_is_read_once_for_all_findings(
     places = (library.address("add"), library.address("other"))
     findings = [
         Finding(
-            kind=Kind.CRASHED,
+            kind="crashed",
+            rank=0,
+            says="crashed",
             who="/a",
             times_ns=(1,),
             frames=(Frame("", "f", "libadd.so", at + 1),),
@@ -207,7 +209,7 @@ def test_a_library_is_read_once_for_all_findings(
         )
         for at in places * 10
     ]
-    findings.insert(3, Finding(kind=Kind.UNFINISHED, who="", times_ns=(1,)))
+    findings.insert(3, Finding(kind="unfinished", rank=7, says="", times_ns=(1,)))
     found = located(findings, (library.folder,))
     assert runs.read_text() == "run\n"
     assert [str(each.place.line).rpartition(":")[2] for each in found[:5]] == [
@@ -219,7 +221,9 @@ def test_a_function_that_the_container_had_no_time_to_look_up_is_named(library: 
     at = library.address("add") + 1
     lines = (f"#0 libadd.so+0x{at:x}", f"#1 known+0x4 (libadd.so+0x{at:x})", "#2 0x10")
     finding = Finding(
-        kind=Kind.CRASHED,
+        kind="crashed",
+        rank=0,
+        says="crashed",
         who="/a",
         times_ns=(1,),
         frames=tuple(map(frame_of, lines)),

@@ -13,7 +13,7 @@ from play_launch.config.model import RecordConfig, RotateConfig
 from play_launch.config.node_key import NodeKey
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.postmortem.recover import write_whole
-from play_launch.postmortem.story import read_story
+from play_launch.postmortem.timeline import read_timeline
 from play_launch.recording.clock import SessionClock
 from play_launch.recording.limits import RecorderLimits
 from play_launch.recording.session import Session, open_session
@@ -81,9 +81,9 @@ def test_log_times_go_on_when_the_clock_is_set(
     times = [each.log_time for each in reader.messages({STATES.name})]
     assert times == sorted([*expected, *expected[1:]])
     assert reader.ahead_ns == sum(steps) * YEAR
-    story = read_story(folder)
-    assert story.session.started_ns == begun
-    crashes = [time for finding in story.findings for time in finding.times_ns]
+    timeline = read_timeline(folder)
+    assert timeline.session.started_ns == begun
+    crashes = [time for failure in timeline.failures for time in failure.times]
     assert sorted(crashes) == expected[1:], "stamps are by the system clock"
     last = sorted(folder.glob("*.mcap"))[-2]
     assert BagReader(last).damages == []

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
-from play_launch.postmortem.report.text import shown
+from play_launch.postmortem.report.page import shown
 from play_launch.recording.folder import age_in, part_file
 from play_launch.recording.session import LATEST
 

@@ -8,14 +8,11 @@ from typing import TYPE_CHECKING, Any
 from msgspec import Struct
 from msgspec.structs import replace
 
-from play_launch.postmortem.report.bring_up import Arrival  # noqa: TC001 - fields of a Struct
 from play_launch.postmortem.report.configuration import Configuration, configuration
-from play_launch.postmortem.report.marks import Mark  # noqa: TC001 - as above
+from play_launch.postmortem.report.gather import Arrival, Mark, Row  # noqa: TC001 - fields of a Struct
+from play_launch.postmortem.report.page import shown
 from play_launch.postmortem.report.parameters import NodeParameters  # noqa: TC001 - as above
-from play_launch.postmortem.report.rows import Row  # noqa: TC001 - as above
 from play_launch.postmortem.report.series import packed, quantised, time_planes, value_planes
-from play_launch.postmortem.report.story import Point  # noqa: TC001 - as above
-from play_launch.postmortem.report.text import shown
 from play_launch.postmortem.report.usage import PROCESS_COLUMNS, SYSTEM_COLUMNS
 
 if TYPE_CHECKING:
@@ -29,6 +26,19 @@ if TYPE_CHECKING:
 
 _LARGEST_FACTS = 1_000_000
 """Bytes of an attachment that is shown as names and values."""
+
+
+class Point(Struct, frozen=True):
+    """One thing that happened."""
+
+    title: str
+    lines: tuple[str, ...] = ()
+    """The first ones are shown at once."""
+    at: float | None = None
+    """Milliseconds since the start; None: no moment."""
+    who: str = ""
+    """Name of the node, container or process; empty: the machine."""
+    is_failure: bool = True
 
 
 class Scale(Struct, frozen=True):
@@ -97,15 +107,15 @@ class Contents(Struct, frozen=True):
 
 
 def contents(
-    session: PastSession,
     gathered: Gathered,
     story: Sequence[Point] = (),
     parameters: Sequence[NodeParameters] = (),
 ) -> Contents:
     """Put together what a page shows of a session that was read to its end."""
-    reader, marks = session.reader, gathered.marks.marks
+    session = gathered.timeline.session
+    reader = session.reader
     every = [each for _, each in sorted(gathered.usage.of_rows.items())]
-    lanes, lines, system = gathered.lanes, gathered.lines, gathered.usage.system
+    lanes, lines, system = gathered.lanes(), gathered.lines, gathered.usage.system
     series, columns = _pack("series", every, len(PROCESS_COLUMNS))
     machine, system_columns = _pack("system", [system], len(SYSTEM_COLUMNS))
     facts = Facts(
@@ -116,10 +126,10 @@ def contents(
         end=gathered.end,
         notices=_notices(reader, gathered),
         story=tuple(map(_shown, story)),
-        rows=tuple(gathered.rows.rows),
-        marks=tuple(marks),
-        came_up=gathered.bring_up.came_up(),
-        arrivals=tuple(gathered.bring_up.latest()),
+        rows=gathered.rows(),
+        marks=gathered.marks(),
+        came_up=gathered.came_up(),
+        arrivals=gathered.arrivals(),
         part=gathered.rates.width,
         topics=_topics(reader, gathered),
         parameters=tuple(parameters),
@@ -183,8 +193,8 @@ def _notices(reader: BagReader, gathered: Gathered) -> tuple[str, ...]:
         notices.append(f"{reader.clock_note}.".capitalize())
     for count, what in (
         (gathered.lines.left_out, "lines below WARN that were not written close to a failure"),
-        (gathered.marks.left_out, "failures"),
-        (gathered.lanes.left_out, "changes of state"),
+        (gathered.timeline.events_left_out, "failures"),
+        (gathered.timeline.changes_left_out, "changes of state"),
     ):
         if count:
             notices.append(f"Left out, as a page cannot hold as many: {count:,} {what}.")

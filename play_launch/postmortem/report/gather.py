@@ -1,145 +1,277 @@
-"""Everything that a page shows, gathered in one pass over a recording."""
+"""What a page shows of a session: its timeline, lines of output, usage and rates."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from array import array
+from enum import IntEnum
+from typing import TYPE_CHECKING, Final
 
-from msgspec import Struct, field
+from msgspec import Struct
 
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import PROCESS_STATS
 from play_launch.postmortem.events import UnreadableEventError, event_of
-from play_launch.postmortem.report.bring_up import BringUp
-from play_launch.postmortem.report.lanes import OF_CONTAINER, OF_NODE, OF_PROCESS, Lanes, Shown
 from play_launch.postmortem.report.lines import Lines
-from play_launch.postmortem.report.marks import DEAF, Mark, Marks
-from play_launch.postmortem.report.rates import Rates
-from play_launch.postmortem.report.rows import Rows
-from play_launch.postmortem.report.usage import Usage
+from play_launch.postmortem.report.page import shown
+from play_launch.postmortem.report.usage import Rates, Usage
+from play_launch.postmortem.units import NO_UNIT, Fault, Unit
 from play_launch.recording import topics
 from play_launch.recording.console_format import ERROR, INFO
 from play_launch.supervisor.events import (
     REPORTED_LOGGER,
-    ComponentEvent,
-    ContainerStateChanged,
+    ContainerState,
     LogRecord,
-    NodeStateChanged,
+    NodeState,
     OutputLine,
-    ProcessEvent,
+    ProcessEventKind,
     SubjectKind,
     SystemSample,
 )
 
 if TYPE_CHECKING:
-    from play_launch.postmortem.bag_reader import Message, RecordedTopic
-    from play_launch.postmortem.session import PastSession
+    from play_launch.postmortem.bag_reader import Message
+    from play_launch.postmortem.timeline import Timeline
+    from play_launch.postmortem.units import FailureEvent, State
     from play_launch.supervisor.events import RunEvent
 
 _USED = PROCESS_STATS.picker("cpu_percent", "memory_bytes", "memory_kind")
-_STATS = "/play_launch/…/stats"
-"""Stands for the topics that hold what one thing used each."""
+_STATS: Final = "/play_launch/…/stats"
+"""Stands for the topics that hold what one unit used each."""
+_ARRIVALS: Final = 15
+"""Nodes whose bring-up a page lists, the latest first."""
+_WORDS: Final = {
+    Fault.CRASHED: "crashed",
+    Fault.DIED: "died",
+    Fault.LOAD_FAILED: "failed to load",
+    Fault.STOP_TIMEOUT: "did not stop",
+}
+_RESULTS: Final = {NodeState.LOST: "lost its container", NodeState.LOAD_FAILED: "failed to load"}
+"""How a node arrived, where the name of the state does not tell."""
 
 
-class Gathered(Struct):
-    """What is known after the pass; times are milliseconds since the start."""
+class Shown(IntEnum):
+    """How a state is drawn."""
 
-    rows: Rows = field(default_factory=Rows)
-    lanes: Lanes = field(default_factory=Lanes)
-    marks: Marks = field(default_factory=Marks)
-    lines: Lines = field(default_factory=Lines)
-    usage: Usage = field(default_factory=Usage)
-    rates: Rates = field(default_factory=Rates)
-    bring_up: BringUp = field(default_factory=BringUp)
-    end: float = 0.0
+    CONSTRUCTING = 0
+    LOADED = 1
+    """It is there: a container or a process runs."""
+    CRASHED = 2
+    """It failed, and is down."""
+    AWAY = 3
+    """It is down, and nothing is wrong with it."""
 
-    def take(self, at: float, event: RunEvent) -> None:
-        """Take one event."""
+
+_OF_NODE: Final = {
+    NodeState.PENDING: Shown.AWAY,
+    NodeState.REQUESTED: Shown.CONSTRUCTING,
+    NodeState.LOADING: Shown.CONSTRUCTING,
+    NodeState.LOADED: Shown.LOADED,
+    NodeState.LOAD_FAILED: Shown.CRASHED,
+    NodeState.UNLOADING: Shown.AWAY,
+    NodeState.UNLOADED: Shown.AWAY,
+    NodeState.CRASHED: Shown.CRASHED,
+    NodeState.GAVE_UP: Shown.CRASHED,
+    NodeState.LOST: Shown.AWAY,
+}
+_OF_CONTAINER: Final = {
+    ContainerState.STOPPED: Shown.AWAY,
+    ContainerState.STARTING: Shown.CONSTRUCTING,
+    ContainerState.RUNNING: Shown.LOADED,
+    ContainerState.KILLING: Shown.CRASHED,
+    ContainerState.BACKOFF: Shown.CRASHED,
+    ContainerState.GAVE_UP: Shown.CRASHED,
+    ContainerState.STOPPING: Shown.AWAY,
+}
+_OF_PROCESS: Final = {
+    ProcessEventKind.STARTED: Shown.LOADED,
+    ProcessEventKind.READY: Shown.LOADED,
+    ProcessEventKind.EXITED: Shown.AWAY,
+    ProcessEventKind.RESTARTING: Shown.CRASHED,
+    ProcessEventKind.GAVE_UP: Shown.CRASHED,
+    ProcessEventKind.STOPPING: Shown.AWAY,
+    ProcessEventKind.WAITING: Shown.AWAY,
+    ProcessEventKind.STOPPED: Shown.AWAY,
+}
+
+
+class Row(Struct, frozen=True):
+    """One unit whose life the timeline shows."""
+
+    kind: str
+    """``node``, ``container`` or ``process``."""
+    name: str
+    container: str
+    """Of a node; else empty."""
+
+
+class Mark(Struct, frozen=True):
+    """One failure; ``at`` is in milliseconds since the start."""
+
+    row: int
+    at: float
+    what: str
+    """``crashed``, ``failed to load``, ``died``, ``did not stop``, ``gave up``."""
+    reason: str
+    backtrace: tuple[str, ...] = ()
+
+
+class Arrival(Struct, frozen=True):
+    """How one node came up; times are milliseconds since the start, None where unknown."""
+
+    row: int
+    starting: float | None
+    """When its container was started."""
+    running: float | None
+    """When its container was ready."""
+    requested: float | None
+    constructing: float | None
+    end: float | None
+    """When it was loaded, or failed."""
+    result: str
+    """``loaded``, ``crashed``, ...; empty: it never came up."""
+
+
+class Lanes(Struct):
+    """Stays of rows in states, from begin to end; times are milliseconds since the start."""
+
+    rows: array[int]
+    states: array[int]
+    begins: array[float]
+    ends: array[float]
+
+
+class Gathered:
+    """Takes each message of a recording, and draws the timeline when it is whole."""
+
+    def __init__(self, timeline: Timeline) -> None:
+        self.timeline = timeline
+        self.lines, self.usage, self.rates = Lines(timeline), Usage(), Rates()
+        self.end = 0.0
+        self.started_ns = 0
+        self._marked = 0
+
+    def take(self, message: Message, event: RunEvent | None) -> None:
+        """Take the next message, of any topic; the timeline took it before."""
+        # What stands at the head of the file is known by now.
+        self.started_ns = self.started_ns or self.timeline.session.started_ns
+        at = self.at(message.log_time)
+        self.end = max(self.end, at)
+        topic = message.topic
+        is_sample = topic.type_name == topics.PROCESS_STATS
+        self.rates.add(_STATS if is_sample else topic.name, at)
+        try:
+            if is_sample:
+                # Most messages of a long session: they are read without becoming events.
+                unit = self.timeline.unit(SubjectKind[topic.kind.upper()], topic.key)
+                self.usage.process(unit.number, at, *_USED(message.data))
+            elif topic.name in {topics.OUTPUT.name, topics.SYSTEM.name}:
+                event = event_of(message)
+        except (CdrError, KeyError, UnreadableEventError) as error:
+            self.timeline.session.note_damage(message, error)
         match event:
             case OutputLine():
-                self.lines.output(at, event, self.rows)
+                self.lines.output(at, event)
             case SystemSample():
                 self.usage.machine(at, event)
-            case LogRecord():
-                if event.level >= INFO and event.name != REPORTED_LOGGER:
-                    self.lines.log(at, event)
-            case ComponentEvent():
-                self.marks.component(event)
-            case NodeStateChanged():
-                row = self.rows.number(SubjectKind.NODE, str(event.key))
-                self.lanes.change(row, at, OF_NODE[event.state])
-                self.bring_up.node(row, at, event)
-                self._failed(self.marks.node(row, at, event))
-            case ContainerStateChanged():
-                row = self.rows.number(SubjectKind.CONTAINER, event.container)
-                self.lanes.change(row, at, OF_CONTAINER[event.state])
-                self.bring_up.container(at, event)
-            case ProcessEvent():
-                row = self.rows.of_name(event.name)
-                mark = self.marks.process(row, at, event)
-                if not self.rows.is_container(row):
-                    is_wanted = mark is None or mark.what == DEAF
-                    shown = OF_PROCESS[event.kind] if is_wanted else Shown.CRASHED
-                    self.lanes.change(row, at, shown)
-                self._failed(mark)
-            case _:
-                pass
+            case LogRecord() if event.level >= INFO and event.name != REPORTED_LOGGER:
+                self.lines.add(at, NO_UNIT, event.level, event.message)
+        for failure in self.timeline.events[self._marked :]:
+            if (mark := self._mark(failure)) is not None:
+                self.lines.failure(mark.at)
+                self.lines.add(mark.at, mark.row, ERROR, f"{mark.what}: {mark.reason}")
+        self._marked = len(self.timeline.events)
 
-    def _failed(self, mark: Mark | None) -> None:
-        if mark is not None:
-            self.lines.failure(mark.at)
-            self.lines.add(mark.at, mark.row, ERROR, f"{mark.what}: {mark.reason}")
+    def finish(self) -> None:
+        """Finish: no message comes any more."""
+        self.lines.prune()
+        self.usage.finish()
+
+    def at(self, log_time: int) -> float:
+        return max(0.0, (log_time - self.started_ns) / 1e6)
+
+    def rows(self) -> tuple[Row, ...]:
+        return tuple(
+            Row(unit.kind.name.lower(), shown(unit.name), shown(unit.container))
+            for unit in self.timeline.units[:NO_UNIT]
+        )
+
+    def marks(self) -> tuple[Mark, ...]:
+        return tuple(filter(None, map(self._mark, self.timeline.events)))
+
+    def _mark(self, event: FailureEvent) -> Mark | None:
+        failure = event.failure
+        if failure is None:
+            what: str | None = "gave up"
+        elif failure.is_crash and failure.fault is not Fault.DIED:
+            what = "crashed"
+        else:
+            what = _WORDS.get(failure.fault)
+        if what is None:
+            return None
+        trace = tuple(map(shown, event.frames))
+        return Mark(event.unit.number, self.at(event.at_ns), what, shown(event.reason), trace)
+
+    def lanes(self) -> Lanes:
+        """Draw the changes of state."""
+        lanes = Lanes(array("H"), array("B"), array("d"), array("d"))
+        for unit in self.timeline.units[:NO_UNIT]:
+            before: tuple[Shown, float] | None = None
+            for log_time, state, is_failure in unit.changes:
+                now = Shown.CRASHED if is_failure else _shown(state)
+                if before is not None and before[0] is now:
+                    continue
+                at = self.at(log_time)
+                if before is not None:
+                    _add(lanes, unit, *before, at)
+                before = now, at
+            if before is not None:
+                _add(lanes, unit, *before, self.end)
+        return lanes
+
+    def came_up(self) -> float | None:
+        """Give when the last node had arrived, well or not; None when one never did."""
+        ends = [each.end for each in self._arrivals()]
+        known = [end for end in ends if end is not None]
+        return max(known) if known and len(known) == len(ends) else None
+
+    def arrivals(self) -> tuple[Arrival, ...]:
+        """Give the nodes for which the system waited longest, those that never came first."""
+        never = float("inf")
+        every = sorted(self._arrivals(), key=lambda one: -(never if one.end is None else one.end))
+        return tuple(every[:_ARRIVALS])
+
+    def _arrivals(self) -> list[Arrival]:
+        return [
+            self._arrival(unit)
+            for unit in self.timeline.units
+            if unit.kind is SubjectKind.NODE and unit.is_known
+        ]
+
+    def _arrival(self, unit: Unit) -> Arrival:
+        container = self.timeline.unit(SubjectKind.CONTAINER, unit.container)
+        began, ready, requested, constructing, end = (
+            self.at(ns) if ns else None
+            for ns in (
+                container.begun_ns,
+                container.ready_ns,
+                unit.begun_ns,
+                unit.constructing_ns,
+                unit.ready_ns,
+            )
+        )
+        state = unit.arrival
+        result = "" if state is None else _RESULTS.get(state, state.value)
+        return Arrival(unit.number, began, ready, requested, constructing, end, result)
 
 
-class _Stream(Struct):
-    """What is known about the messages of one topic."""
-
-    name: str
-    """Under which they are counted."""
-    row: int | None = None
-    """Of the timeline, if they are samples of one thing."""
+def _shown(state: State) -> Shown:
+    if isinstance(state, ProcessEventKind):
+        return _OF_PROCESS[state]
+    return _OF_CONTAINER[state] if isinstance(state, ContainerState) else _OF_NODE[state]
 
 
-class Gathering:
-    """The state of a pass over a recording."""
-
-    def __init__(self, session: PastSession) -> None:
-        """Take nothing yet."""
-        self._session = session
-        self._gathered = Gathered()
-        self._streams: dict[RecordedTopic, _Stream] = {}
-        self._started: int | None = None
-
-    def take(self, message: Message) -> None:
-        """Take the next message, of whatever topic."""
-        gathered = self._gathered
-        if self._started is None:
-            # What stands at the head of the file is known by now.
-            self._started = self._session.started_ns
-        at = max(0.0, (message.log_time - self._started) / 1e6)
-        gathered.end = max(gathered.end, at)
-        stream = self._streams.get(message.topic)
-        if stream is None:
-            stream = self._streams[message.topic] = _stream(message.topic, gathered.rows)
-        gathered.rates.add(stream.name, at)
-        try:
-            if stream.row is not None:
-                # Most messages of a long session: they are read without becoming events.
-                gathered.usage.process(stream.row, at, *_USED(message.data))
-            elif (event := event_of(message)) is not None:
-                gathered.take(at, event)
-        except (CdrError, UnreadableEventError) as error:
-            self._session.note_damage(message, error)
-
-    def finish(self) -> Gathered:
-        """Give everything; no message comes any more."""
-        gathered = self._gathered
-        gathered.lanes.end(gathered.end)
-        gathered.lines.prune()
-        gathered.usage.finish()
-        return gathered
-
-
-def _stream(topic: RecordedTopic, rows: Rows) -> _Stream:
-    if topic.type_name != topics.PROCESS_STATS or topic.kind.upper() not in SubjectKind.__members__:
-        return _Stream(topic.name)
-    return _Stream(_STATS, rows.number(SubjectKind[topic.kind.upper()], topic.key))
+def _add(lanes: Lanes, unit: Unit, shown: Shown, begin: float, end: float) -> None:
+    lanes.rows.append(unit.number)
+    lanes.states.append(shown)
+    lanes.begins.append(begin)
+    lanes.ends.append(max(begin, end))

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
 
-from play_launch.postmortem.report.rows import NO_ROW, Rows
-from play_launch.postmortem.report.text import shown
+from play_launch.postmortem.report.page import shown
+from play_launch.postmortem.timeline import Timeline  # noqa: TC001 - a field of a Struct
 from play_launch.recording.console_format import WARN, line_level
 
 if TYPE_CHECKING:
-    from play_launch.supervisor.events import LogRecord, OutputLine
+    from play_launch.supervisor.events import OutputLine
 
 MOST: Final = 400_000
 """Lines."""
@@ -35,6 +35,7 @@ class Lines(Struct):
     earliest others if that is not enough.
     """
 
+    timeline: Timeline
     most: int = MOST
     most_text: int = MOST_TEXT
     times: array[float] = field(default_factory=lambda: array("d"))
@@ -44,23 +45,33 @@ class Lines(Struct):
     left_out: int = 0
     _text: int = 0
     _failures: list[float] = field(default_factory=list)
+    _loggers: dict[tuple[str, str], int] = field(default_factory=dict)
+    """Numbers of nodes by their containers and loggers."""
+    _named: int = 0
+    """Units whose loggers are known."""
 
-    def output(self, at: float, event: OutputLine, rows: Rows) -> None:
+    def output(self, at: float, event: OutputLine) -> None:
         """Take a line of output; its head is left out where the columns say the same."""
-        text, row = event.text, NO_ROW
+        text, row = event.text, self.timeline.of_name(event.process).number
         head = _HEAD.match(text)
         if head:
-            row = rows.of_logger(event.process, head[1])
-            keeps_name = not rows.has_logger(event.process, head[1])
-            rest = text[head.end() :]
-            text = f"[{head[1]}]: {rest}" if keeps_name else rest
-        else:
-            row = rows.of_name(event.process)
+            self._name_loggers()
+            rest, logger = text[head.end() :], head[1]
+            is_own = (event.process, logger) in self._loggers
+            text = rest if is_own else f"[{logger}]: {rest}"
+            # A logger's name is that of its node with dots, perhaps with more behind it.
+            while logger and (event.process, logger) not in self._loggers:
+                logger = logger.rpartition(".")[0]
+            row = self._loggers.get((event.process, logger), row)
         self.add(at, row, line_level(event), text + " [cut]" if event.truncated else text)
 
-    def log(self, at: float, event: LogRecord) -> None:
-        """Take a record of the supervisor's log."""
-        self.add(at, NO_ROW, event.level, event.message)
+    def _name_loggers(self) -> None:
+        units = self.timeline.units
+        for unit in units[self._named :]:
+            if unit.container:
+                logger = unit.name.removeprefix("/").replace("/", ".")
+                self._loggers[unit.container, logger] = unit.number
+        self._named = len(units)
 
     def failure(self, at: float) -> None:
         """Keep what is written around this moment."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.postmortem.parameters import shortened
-from play_launch.postmortem.report.text import shown
+from play_launch.postmortem.report.page import shown
 
 if TYPE_CHECKING:
     from play_launch.postmortem.parameters import KnownParameters, Parameters

@@ -9,9 +9,9 @@ from benchmarks.long_session.write import write_session
 from play_launch.cli.output import write_file
 from play_launch.config.node_key import NodeKey
 from play_launch.postmortem.report.facts import contents
-from play_launch.postmortem.report.gather import Gathered, Gathering
+from play_launch.postmortem.report.gather import Gathered
 from play_launch.postmortem.report.page import render
-from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.timeline import Timeline
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
 from play_launch.recording.session import METADATA_NAME
@@ -50,15 +50,16 @@ HOSTILE = (
 
 def page_of(recording: Path, output: Path) -> None:
     """Write the page without a story."""
-    session = PastSession(recording)
-    write_file(output, render(contents(session, gather(session))))
+    write_file(output, render(contents(gather(recording))))
 
 
-def gather(session: PastSession) -> Gathered:
-    gathering = Gathering(session)
-    for message in session.reader.messages():
-        gathering.take(message)
-    return gathering.finish()
+def gather(recording: Path) -> Gathered:
+    timeline = Timeline(recording)
+    gathered = Gathered(timeline)
+    for message, event in timeline.messages():
+        gathered.take(message, event)
+    gathered.finish()
+    return gathered
 
 
 def ordinary(folder: Path) -> Path:

@@ -1,10 +1,11 @@
-"""What a page is made of, folded from events: lanes, marks, lines, usage, rates, bring-up."""
+"""What a page is made of, gathered from events: lanes, marks, lines, usage, rates, bring-up."""
 
 from __future__ import annotations
 
 from array import array
 from itertools import pairwise
 from math import isnan, nan
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -12,13 +13,14 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from play_launch.config.node_key import NodeKey
-from play_launch.postmortem.report import lanes, marks, usage
-from play_launch.postmortem.report.gather import Gathered
-from play_launch.postmortem.report.lanes import Lanes, Shown
+from play_launch.postmortem import timeline
+from play_launch.postmortem.report import gather as gathering
+from play_launch.postmortem.report import usage
+from play_launch.postmortem.report.gather import Gathered, Shown
 from play_launch.postmortem.report.lines import Lines
-from play_launch.postmortem.report.rates import PARTS, Rates
-from play_launch.postmortem.report.rows import NO_ROW, Rows
-from play_launch.postmortem.report.usage import Usage
+from play_launch.postmortem.report.usage import PARTS, Rates, Usage
+from play_launch.postmortem.timeline import Timeline
+from play_launch.postmortem.units import NO_UNIT
 from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
@@ -34,13 +36,15 @@ from play_launch.supervisor.events import (
     Stream,
     SubjectKind,
 )
+from play_launch.supervisor.outcome import Cause, Sequel
+from tests.postmortem.report.recordings import BEGIN, gather, record
 
 KEY = NodeKey("/box", "/sensing/talker")
 TALKER = str(KEY)
 
 
 def node(state: NodeState, **fields: object) -> NodeStateChanged:
-    return replace(NodeStateChanged(stamp_ns=1, key=KEY, state=state), **fields)
+    return replace(NodeStateChanged(stamp_ns=1, key=KEY, state=state, cause=Cause.NONE), **fields)
 
 
 def container(state: ContainerState) -> ContainerStateChanged:
@@ -48,20 +52,20 @@ def container(state: ContainerState) -> ContainerStateChanged:
 
 
 def process(kind: ProcessEventKind, name: str = "/helper", **fields: object) -> ProcessEvent:
-    return replace(ProcessEvent(stamp_ns=1, kind=kind, name=name), **fields)
+    return replace(ProcessEvent(stamp_ns=1, kind=kind, name=name, cause=Cause.NONE), **fields)
 
 
 def output(text: str, name: str = "/box") -> OutputLine:
     return OutputLine(stamp_ns=1, process=name, pid=7, stream=Stream.STDERR, text=text)
 
 
-def crash(attempt: int = 1) -> ComponentEvent:
+def crash(stamp_ns: int = 1) -> ComponentEvent:
     return ComponentEvent(
-        stamp_ns=1,
+        stamp_ns=stamp_ns,
         kind=ComponentEventKind.CRASHED,
         container="",
         unique_id=1,
-        attempt=attempt,
+        attempt=1,
         full_node_name=KEY.name,
         package_name="p",
         plugin_name="c",
@@ -69,126 +73,143 @@ def crash(attempt: int = 1) -> ComponentEvent:
     )
 
 
-STATES = st.lists(st.tuples(st.integers(0, 2), st.integers(0, 50), st.sampled_from(Shown)))
+def gathered(folder: Path, *events: RunEvent | tuple[float, RunEvent]) -> Gathered:
+    """What a recording of these events gives; their times are milliseconds after the start."""
+    timed = [each if isinstance(each, tuple) else (n, each) for n, each in enumerate(events)]
+    stamped = [replace_stamp(event, BEGIN + round(at * 1e6)) for at, event in timed]
+    return gather(record(folder / "session.mcap", stamped))
 
 
-@given(STATES)
-def test_stays_cover_the_time_of_each_row_once(changes: list[tuple[int, int, Shown]]) -> None:
-    found = Lanes()
+def replace_stamp(event: RunEvent, stamp_ns: int) -> RunEvent:
+    if isinstance(event, ComponentEvent):
+        return crash(stamp_ns)
+    return replace(event, stamp_ns=stamp_ns)
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 50), st.sampled_from(NodeState))))
+def test_stays_cover_the_time_of_each_row_once(
+    changes: list[tuple[int, int, NodeState]],
+) -> None:
+    found = Gathered(Timeline(Path("none")))
     now, begins, expected = 0.0, dict[int, float](), dict[int, Shown]()
-    for row, pause, shown in changes:
+    rows: dict[int, int] = {}
+    for name, pause, state in changes:
         now += pause
-        found.change(row, now, shown)
-        begins.setdefault(row, now)
-        expected[row] = shown
-    found.end(now + 1)
+        event = node(state, key=NodeKey("/box", f"/{name}"))
+        found.timeline.fold(event, round(now * 1e6))
+        rows[name] = found.timeline.unit(SubjectKind.NODE, str(event.key)).number
+        begins.setdefault(rows[name], now)
+        expected[rows[name]] = gathering._shown(state)
+    found.end = now + 1
+    lanes = found.lanes()
     for row, begin in begins.items():
-        mine = [i for i, each in enumerate(found.rows) if each == row]
-        edges = [begin, *(found.ends[i] for i in mine)]
-        assert [found.begins[i] for i in mine] == edges[:-1]
+        mine = [i for i, each in enumerate(lanes.rows) if each == row]
+        edges = [begin, *(lanes.ends[i] for i in mine)]
+        assert [lanes.begins[i] for i in mine] == edges[:-1]
         assert edges[-1] == now + 1
-        states = [found.states[i] for i in mine]
+        states = [lanes.states[i] for i in mine]
         assert all(one != two for one, two in pairwise(states))
         assert states[-1] == expected[row]
 
 
-def test_stays_beyond_what_a_page_holds_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lanes, "MOST", 2)
-    found = Lanes()
-    for at in range(5):
-        found.change(0, at, Shown.LOADED if at % 2 else Shown.AWAY)
-    found.end(9)
-    assert (len(found.rows), found.left_out) == (2, 3)
+def test_stays_beyond_what_a_page_holds_are_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(timeline, "MOST_CHANGES", 2)
+    states = [NodeState.LOADED, NodeState.UNLOADED, NodeState.LOADED, NodeState.UNLOADED]
+    found = gathered(tmp_path, *map(node, states))
+    assert (len(found.lanes().rows), found.timeline.changes_left_out) == (2, 2)
 
 
-def test_every_state_is_drawn_somehow() -> None:
-    assert lanes.OF_NODE.keys() == set(NodeState)
-    assert lanes.OF_CONTAINER.keys() == set(ContainerState)
-    assert lanes.OF_PROCESS.keys() == set(ProcessEventKind)
+@pytest.mark.parametrize("state", [*NodeState, *ContainerState, *ProcessEventKind])
+def test_every_state_is_drawn(state: NodeState) -> None:
+    assert gathering._shown(state) in Shown
 
 
-def test_a_crash_is_one_mark_with_its_backtrace() -> None:
-    found = Gathered()
-    events: list[RunEvent] = [
+def test_a_crash_is_one_mark_with_its_backtrace(tmp_path: Path) -> None:
+    gives_up = {"cause": Cause.SIGNAL, "sequel": Sequel.GAVE_UP}
+    found = gathered(
+        tmp_path,
         node(NodeState.LOADED, attempt=1),
         crash(),
-        node(NodeState.CRASHED, attempt=1, crashes=1, reason="SIGSEGV; it is loaded again"),
-        node(NodeState.GAVE_UP, attempt=1, crashes=1, reason="limit reached"),
+        node(NodeState.CRASHED, attempt=1, unique_id=1, crashes=1, reason="SIGSEGV", **gives_up),
+        node(NodeState.GAVE_UP, attempt=1, crashes=1, reason="limit reached", **gives_up),
         node(NodeState.LOADED, attempt=2, crashes=1),
-    ]
-    for at, event in enumerate(events):
-        found.take(float(at), event)
-    crashed, gave_up = found.marks.marks
+    )
+    crashed, gave_up = found.marks()
     assert (crashed.what, crashed.at, crashed.row) == ("crashed", 2.0, 0)
     assert crashed.backtrace == ("#0 boom()", "#1 spin()")
     assert (gave_up.what, gave_up.backtrace) == ("gave up", ())
-    assert found.lines.texts == ["crashed: SIGSEGV; it is loaded again", "gave up: limit reached"]
+    assert found.lines.texts == ["crashed: SIGSEGV", "gave up: limit reached"]
 
 
-def test_a_failed_load_is_a_mark() -> None:
-    found = Gathered()
-    found.take(1.0, node(NodeState.LOAD_FAILED, reason="no such library"))
-    assert [mark.what for mark in found.marks.marks] == ["failed to load"]
+def test_a_failed_load_is_a_mark(tmp_path: Path) -> None:
+    found = gathered(tmp_path, node(NodeState.LOAD_FAILED, reason="no such library"))
+    assert [mark.what for mark in found.marks()] == ["failed to load"]
 
 
-def test_an_end_is_a_failure_unless_it_was_wanted() -> None:
-    found = Gathered()
+def test_an_end_is_a_failure_unless_it_was_wanted(tmp_path: Path) -> None:
     exited = ProcessEventKind.EXITED
-    for event in (
+    status, sigterm = "exited with status 3", "killed by signal 15"
+    found = gathered(
+        tmp_path,
         process(ProcessEventKind.STARTED),
         process(exited, exit_code=0, message="exited with status 0"),
         process(ProcessEventKind.STARTED),
-        process(exited, exit_code=3, message="exited with status 3"),
+        process(exited, exit_code=3, message=status, cause=Cause.EXIT_STATUS),
         process(ProcessEventKind.STARTED),
-        process(ProcessEventKind.STOPPING),
-        process(exited, signal=15, message="killed by signal 15"),
-    ):
-        found.take(1.0, event)
-    assert [(mark.what, mark.reason) for mark in found.marks.marks] == [
-        ("died", "exited with status 3")
-    ]
-    assert [row.kind for row in found.rows.rows] == ["process"]
+        process(ProcessEventKind.STOPPING, cause=Cause.STOPPED),
+        process(exited, signal=15, message=sigterm, cause=Cause.STOPPED),
+    )
+    assert [(mark.what, mark.reason) for mark in found.marks()] == [("died", status)]
+    assert [row.kind for row in found.rows()] == ["process"]
 
 
-def test_the_death_of_a_container_is_a_mark_on_its_row() -> None:
-    found = Gathered()
-    found.take(0.0, container(ContainerState.RUNNING))
-    found.take(1.0, process(ProcessEventKind.EXITED, "/box", signal=11, message="SIGSEGV"))
-    found.take(1.0, container(ContainerState.BACKOFF))
-    (mark,) = found.marks.marks
-    assert found.rows.rows[mark.row].kind == "container"
-    assert len(found.rows.rows) == 1
+def test_the_death_of_a_container_is_a_mark_on_its_row(tmp_path: Path) -> None:
+    died = {"signal": 11, "message": "SIGSEGV", "cause": Cause.SIGNAL}
+    found = gathered(
+        tmp_path,
+        container(ContainerState.RUNNING),
+        process(ProcessEventKind.EXITED, "/box", **died),
+        container(ContainerState.BACKOFF),
+    )
+    (mark,) = found.marks()
+    assert found.rows()[mark.row].kind == "container"
+    assert len(found.rows()) == 1
 
 
-def test_marks_beyond_what_a_page_holds_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(marks, "MOST", 3)
-    found = Gathered()
-    for number in range(1, 6):
-        found.take(float(number), node(NodeState.CRASHED, crashes=number))
-    assert (len(found.marks.marks), found.marks.left_out) == (3, 2)
+def test_marks_beyond_what_a_page_holds_are_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(timeline, "MOST_EVENTS", 3)
+    crashes = (node(NodeState.CRASHED, crashes=number) for number in range(1, 6))
+    found = gathered(tmp_path, *crashes)
+    assert (len(found.marks()), found.timeline.events_left_out) == (3, 2)
 
 
-def test_lines_belong_to_the_node_whose_logger_wrote_them() -> None:
-    found, rows = Lines(), Rows()
-    box = rows.number(SubjectKind.CONTAINER, "/box")
-    talker = rows.number(SubjectKind.NODE, TALKER)
-    for text in (
+def test_lines_belong_to_the_node_whose_logger_wrote_them(tmp_path: Path) -> None:
+    texts = (
         "[INFO] [1.5] [sensing.talker]: hello",
         "\x1b[33m[WARN] [1.5] [sensing.talker]: careful\x1b[0m",
         "[ERROR] [1.5] [sensing.talker.driver]: broken",
         "no head at all",
-    ):
-        found.output(1.0, output(text), rows)
-    assert found.texts == ["hello", "careful", "[sensing.talker.driver]: broken", "no head at all"]
-    assert list(found.rows) == [talker, talker, talker, box]
-    assert list(found.levels) == [20, 30, 40, 30]
+    )
+    states = container(ContainerState.RUNNING), node(NodeState.LOADED)
+    lines = gathered(tmp_path, *states, *map(output, texts)).lines
+    assert lines.texts == ["hello", "careful", "[sensing.talker.driver]: broken", "no head at all"]
+    assert list(lines.rows) == [1, 1, 1, 0]
+    assert list(lines.levels) == [20, 30, 40, 30]
 
 
 def test_texts_of_several_lines_are_lines() -> None:
-    found = Lines()
-    found.add(1.0, NO_ROW, 40, "one\ntwo\x1b[0m\n")
+    found = lines()
+    found.add(1.0, NO_UNIT, 40, "one\ntwo\x1b[0m\n")
     assert found.texts == ["one", "two", ""]
     assert list(found.times) == [1.0] * 3
+
+
+def lines(most: int = 400_000) -> Lines:
+    return Lines(Timeline(Path("none")), most)
 
 
 TIMED_LEVELS = st.lists(
@@ -200,12 +221,12 @@ TIMED_LEVELS = st.lists(
 def test_too_many_lines_leave_what_matters(
     written: list[tuple[int, int]], most: int, failed: int
 ) -> None:
-    found = Lines(most=most)
+    found = lines(most)
     found.failure(failed)
     now = 0.0
     for number, (pause, level) in enumerate(written):
         now += pause
-        found.add(now, NO_ROW, level, str(number))
+        found.add(now, NO_UNIT, level, str(number))
     found.prune()
     assert len(found.texts) <= most
     assert len(found.texts) + found.left_out == len(written)
@@ -218,7 +239,7 @@ def test_too_many_lines_leave_what_matters(
 
 
 def test_lines_far_from_failures_go_first() -> None:
-    found = Lines(most=4)
+    found = lines(4)
     found.failure(50_000.0)
     for at, level in (
         (0, 20),
@@ -228,7 +249,7 @@ def test_lines_far_from_failures_go_first() -> None:
         (90_000, 20),
         (120_000, 20),
     ):
-        found.add(float(at), NO_ROW, level, f"at {at}")
+        found.add(float(at), NO_UNIT, level, f"at {at}")
     found.prune()
     assert found.texts == ["at 1000", "at 45000", "at 120000"]
 
@@ -285,26 +306,26 @@ def test_rates_count_every_message(messages: list[tuple[str, int]]) -> None:
     assert all(len(counts) == PARTS for counts in found.counts.values())
 
 
-def test_bring_up_names_what_everybody_waited_for() -> None:
-    found = Gathered()
-    slow = replace(node(NodeState.PENDING), key=NodeKey("/box", "/slow"))
-    for at, event in (
+def test_bring_up_has_what_the_system_waited_for(tmp_path: Path) -> None:
+    slow = NodeKey("/box", "/slow")
+    events: list[tuple[float, RunEvent]] = [
         (0, node(NodeState.PENDING)),
-        (0, slow),
+        (0, node(NodeState.PENDING, key=slow)),
         (5, container(ContainerState.STARTING)),
         (100, container(ContainerState.RUNNING)),
         (101, node(NodeState.REQUESTED)),
+        (101, node(NodeState.REQUESTED, key=slow)),
         (102, node(NodeState.LOADING)),
+        (103, node(NodeState.LOADING, key=slow)),
         (150, node(NodeState.LOADED)),
-        (101, replace(slow, state=NodeState.REQUESTED)),
-        (103, replace(slow, state=NodeState.LOADING)),
-    ):
-        found.take(float(at), event)
-    assert found.bring_up.came_up() is None
-    assert found.rows.rows[found.bring_up.latest()[0].row].name == "/slow"
-    found.take(9000.0, replace(slow, state=NodeState.LOADED))
-    found.take(9500.0, node(NodeState.CRASHED, crashes=1))
-    assert found.bring_up.came_up() == 9000.0
-    latest, first = found.bring_up.latest()
+    ]
+    found = gathered(tmp_path, *events)
+    assert found.came_up() is None
+    assert found.rows()[found.arrivals()[0].row].name == "/slow"
+    events.append((9000, node(NodeState.LOADED, key=slow)))
+    events.append((9500, node(NodeState.CRASHED, crashes=1)))
+    found = gathered(tmp_path / "later", *events)
+    assert found.came_up() == 9000.0
+    latest, first = found.arrivals()
     assert (latest.constructing, latest.end, latest.result) == (103.0, 9000.0, "loaded")
     assert (first.starting, first.running, first.end) == (5.0, 100.0, 150.0)

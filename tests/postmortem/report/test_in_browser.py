@@ -12,8 +12,7 @@ import pytest
 
 from benchmarks.browser import Browser, find_browser
 from play_launch.cli.report import report as write_report
-from play_launch.postmortem.report.text import shown
-from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.report.page import shown
 from tests.postmortem.report.recordings import HOSTILE, gather, hostile, ordinary, page_of, record
 from tests.postmortem.scenes import Scene
 from tests.support.waiting import until
@@ -128,9 +127,8 @@ def test_it_draws_everything(opened: Browser) -> None:
 
 
 def test_the_script_reads_what_was_packed(opened: Browser, folder: Path) -> None:
-    session = PastSession(folder / "ordinary" / "session.mcap")
-    gathered = gather(session)
-    lines, lanes = gathered.lines, gathered.lanes
+    gathered = gather(folder / "ordinary" / "session.mcap")
+    lines, lanes = gathered.lines, gathered.lanes()
     assert opened.run("data.lines.texts") == lines.texts
     assert opened.run("[...data.lines.rows]") == list(lines.rows)
     assert opened.run("[...data.lines.times]") == [round(at) for at in lines.times]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.postmortem.report.text import shown
+from play_launch.postmortem.report.page import shown
 
 DIRECTIONS = {"LRE", "RLE", "RLO", "LRO", "PDF", "LRI", "RLI", "FSI", "PDI"}
 

@@ -6,7 +6,7 @@ import tracemalloc
 
 from play_launch.container.cdr.messages import PROCESS_STATS, SYSTEM_STATS
 from play_launch.postmortem.bag_reader import Message, RecordedTopic
-from play_launch.postmortem.trends import MOST_SAMPLES, Samples
+from play_launch.postmortem.samples import MOST_SAMPLES, Samples
 
 SECOND = 1_000_000_000
 

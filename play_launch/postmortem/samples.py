@@ -1,4 +1,4 @@
-"""What the samples of a session tell about a failure: growth before it, and starvation.
+"""What units and the machine used: growth before a failure, leaks, starvation.
 
 Samples are kept as they were recorded; of hundreds of thousands, a few are read.
 """
@@ -8,12 +8,16 @@ from __future__ import annotations
 import math
 from array import array
 from bisect import bisect_left, bisect_right
-from struct import Struct
+from enum import StrEnum
+from struct import Struct as Fixed
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from msgspec import Struct
+
+from play_launch.config.durations import duration
+from play_launch.config.node_key import NodeKey
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import SYSTEM_STATS
-from play_launch.postmortem.findings import Quantity, Trend
 from play_launch.supervisor.events import MemoryKind
 
 if TYPE_CHECKING:
@@ -22,9 +26,64 @@ if TYPE_CHECKING:
     from play_launch.postmortem.bag_reader import Message
 
 _SECOND: Final = 1_000_000_000
-_FIXED: Final = Struct("<4xiIi4xQddQB3xII4xQQQQ")
+_FIXED: Final = Fixed("<4xiIi4xQddQB3xII4xQQQQ")
 """A ProcessStats: all of its fields have a fixed place."""
 _MB: Final = 1_000_000
+
+
+class Quantity(StrEnum):
+    """What can grow; its unit."""
+
+    MEMORY = "memory_bytes"
+    THREADS = "threads"
+    DESCRIPTORS = "descriptors"
+    PROCESSOR = "cpu_percent"
+    """Of one core."""
+    WAITING = "involuntary_switches_per_s"
+    """How often per second it lost its core to others, although it had work."""
+    FREE_MEMORY = "memory_available_bytes"
+    FREE_DISK = "disk_free_bytes"
+    PRESSURE = "cpu_some_avg10"
+    """Percent of the time in which something waited for a core."""
+
+
+class Trend(Struct, frozen=True):
+    """How a number went; times are nanoseconds since the epoch."""
+
+    who: str
+    """Name of the node, container or process; empty for the machine."""
+    quantity: Quantity
+    before: float
+    after: float
+    begin_ns: int
+    end_ns: int
+
+    def __str__(self) -> str:
+        """``memory 120.0 MB -> 2.10 GB in 40 min 0 s``."""
+        name = _NUMBERS.get(self.quantity, self.quantity.value)
+        before, after = (_number(value, self.quantity) for value in (self.before, self.after))
+        return f"{name} {before} -> {after} in {duration(self.end_ns - self.begin_ns)}"
+
+
+_NUMBERS: Final = {
+    Quantity.MEMORY: "memory",
+    Quantity.THREADS: "threads",
+    Quantity.DESCRIPTORS: "open files",
+    Quantity.FREE_MEMORY: "free memory of the machine",
+    Quantity.FREE_DISK: "free space on the disk of the recording",
+}
+_BYTES: Final = frozenset({Quantity.MEMORY, Quantity.FREE_MEMORY, Quantity.FREE_DISK})
+
+
+def _number(value: float, quantity: Quantity) -> str:
+    if quantity not in _BYTES:
+        return f"{value:.0f}"
+    return f"{value / 1e9:.2f} GB" if value >= 1e9 else f"{value / 1e6:.1f} MB"
+
+
+def name_of(key: str) -> str:
+    """Give the name in a key: ``/talker`` of ``/box:/talker``."""
+    return NodeKey.parsed(key).name if ":/" in key else key
 
 
 class Growth(NamedTuple):
@@ -67,10 +126,11 @@ _MOST_HIT: Final = 3
 
 
 class Starvation(NamedTuple):
-    """A time in which something used a core that others waited for; names are keys."""
+    """A time in which a unit used a core that others waited for."""
 
-    who: str
+    key: str
     hit: tuple[str, ...]
+    """Names."""
     trends: tuple[Trend, ...]
     begin_ns: int
 
@@ -201,7 +261,7 @@ class Samples:
             begin += (last - begin) // 10
             middle = (begin + last) // 2
             rising = {each.quantity for each in _grown(series, middle, last, "", _RISE)}
-            for trend in _grown(series, begin, last, "", LEAKS):
+            for trend in _grown(series, begin, last, name_of(key), LEAKS):
                 if trend.quantity in rising:
                     yield key, trend
 
@@ -215,12 +275,16 @@ class Samples:
             hit = [one for one in others if one.lost >= _PREEMPTED]
             hit = sorted(hit, key=lambda one: -one.lost)[:_MOST_HIT]
             if hit:
-                trends = [Trend(hog.key, Quantity.PROCESSOR, 0.0, hog.cpu, begin_ns, end_ns)]
+                trends = [
+                    Trend(name_of(hog.key), Quantity.PROCESSOR, 0.0, hog.cpu, begin_ns, end_ns)
+                ]
                 trends += [
-                    Trend(one.key, Quantity.WAITING, 0.0, one.lost, begin_ns, end_ns) for one in hit
+                    Trend(name_of(one.key), Quantity.WAITING, 0.0, one.lost, begin_ns, end_ns)
+                    for one in hit
                 ]
                 trends.append(Trend("", Quantity.PRESSURE, 0.0, pressure, begin_ns, end_ns))
-                yield Starvation(hog.key, tuple(one.key for one in hit), tuple(trends), begin_ns)
+                names = tuple(name_of(one.key) for one in hit)
+                yield Starvation(hog.key, names, tuple(trends), begin_ns)
 
     def disk_free_at_the_end(self) -> Trend | None:
         """Give how the free space on the disk of the recording went; None if not measured."""

@@ -1,35 +1,36 @@
-"""What a session's events come to: who failed, because of what, and who was hit."""
+"""What the events of a session come to: failures, their causes, what else was down."""
 
 from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from play_launch.cli.story_words import headline, paragraphs
+from play_launch.cli.explain import headline, paragraphs
 from play_launch.container.cdr.messages import log_message
 from play_launch.postmortem.bag_reader import Message, RecordedTopic
-from play_launch.postmortem.findings import (
-    IMPORTANCE,
-    Away,
-    Finding,
-    Kind,
-    Quantity,
-    by_importance,
-    is_wrong,
-)
-from play_launch.postmortem.frames import Signature
+from play_launch.postmortem.findings import Finding, is_wrong
 from play_launch.postmortem.known_causes import BY_NAME, known_cause
 from play_launch.postmortem.last_lines import MOST_LOGGERS, LastLines
-from play_launch.postmortem.story import read_story
+from play_launch.postmortem.samples import Quantity
+from play_launch.postmortem.units import Downtime, Fault
 from play_launch.recording import topics
-from play_launch.supervisor.events import LogRecord, MemoryKind, NodeState, ProcessEventKind
-from tests.postmortem.scenes import NAN, SECOND, Scene, ns
+from play_launch.supervisor.events import (
+    LogRecord,
+    MemoryKind,
+    NodeState,
+    ProcessEventKind,
+    RecordingInterrupted,
+    SubjectKind,
+    Withdrawn,
+)
+from play_launch.supervisor.outcome import Cause, Sequel
+from tests.postmortem.scenes import NAN, SECOND, STAYS, Scene, ns, story_of
 from tests.recording.test_states import EVENTS
 
 if TYPE_CHECKING:
@@ -38,25 +39,17 @@ if TYPE_CHECKING:
 LOADING, LOADED, LOST = NodeState.LOADING, NodeState.LOADED, NodeState.LOST
 
 
-def kinds(findings: tuple[Finding, ...]) -> list[tuple[Kind, str]]:
+def kinds(findings: tuple[Finding, ...]) -> list[tuple[str, str]]:
     return [(each.kind, each.who) for each in findings]
 
 
-def test_every_kind_has_its_importance() -> None:
-    assert IMPORTANCE.keys() == set(Kind)
+@pytest.fixture(params=[True, False], ids=["codes", "version 1"])
+def scene(request: pytest.FixtureRequest) -> Scene:
+    """A session of this version, and of the one whose events have sentences only."""
+    return Scene(has_codes=request.param)
 
 
-@given(st.lists(st.tuples(st.sampled_from(Kind), st.integers(0, 9))))
-def test_the_most_important_comes_first_and_then_the_earliest(
-    pairs: list[tuple[Kind, int]],
-) -> None:
-    findings = [Finding(kind=kind, who="", times_ns=(at,)) for kind, at in pairs]
-    ordered = [(IMPORTANCE[one.kind].rank, one.at_ns) for one in by_importance(findings)]
-    assert ordered == sorted(ordered)
-
-
-def test_a_session_in_which_nothing_happened(tmp_path: Path) -> None:
-    scene = Scene()
+def test_a_session_in_which_nothing_happened(scene: Scene, tmp_path: Path) -> None:
     scene.started()
     scene.node(0.1, "/talker", LOADING)
     scene.node(0.2, "/talker", LOADED)
@@ -65,30 +58,28 @@ def test_a_session_in_which_nothing_happened(tmp_path: Path) -> None:
     scene.process(5.1, ProcessEventKind.EXITED)
     story = scene.story(tmp_path)
     assert story.findings == ()
-    assert story.bring_up == {"/box:/talker": SECOND // 5}
+    assert [unit.loaded_ns for unit in story.timeline.units if unit.container] == [ns(0.2)]
 
 
-def test_equal_crashes_are_one_finding_with_all_times(tmp_path: Path) -> None:
-    scene = Scene()
+def test_equal_crashes_are_one_finding_with_all_times(scene: Scene, tmp_path: Path) -> None:
     scene.started()
     scene.node(1, "/talker", LOADED)
     for at in (2, 4):
         scene.crashed(at, "/talker")
         scene.node(at + 0.5, "/talker", LOADING)
         scene.node(at + 1, "/talker", LOADED)
-    scene.crashed(6, "/talker", "demo::other()", sequel="it stays away")
+    scene.crashed(6, "/talker", "demo::other()", sequel=STAYS)
     first, second = scene.story(tmp_path).findings
     assert first.times_ns == (ns(2), ns(4))
-    assert first.away == (Away("/talker", SECOND), Away("/talker", SECOND))
-    assert first.done == ("it is loaded again at once",)
+    assert first.away == (Downtime("/talker", SECOND), Downtime("/talker", SECOND))
+    assert first.done == ("reloaded immediately",)
     assert (first.state, first.since_ns) == ("loaded", ns(1))
     assert first.known == "null_pointer"
-    assert second.away == (Away("/talker", None),)
+    assert second.away == (Downtime("/talker", None),)
     assert str(second.signature) == "SIGSEGV in demo::other (libdemo.so)"
 
 
-def test_who_was_hit_by_the_death_of_a_container(tmp_path: Path) -> None:
-    scene = Scene()
+def test_who_was_hit_by_the_death_of_a_container(scene: Scene, tmp_path: Path) -> None:
     scene.started()
     for name in ("/a", "/b"):
         scene.node(1, name, LOADED)
@@ -96,51 +87,61 @@ def test_who_was_hit_by_the_death_of_a_container(tmp_path: Path) -> None:
     for name in ("/a", "/b"):
         scene.node(2, name, LOST)
     again = "exited with signal 11 (SIGSEGV); starts again in 0.10 s"
-    scene.process(2, ProcessEventKind.RESTARTING, message=again)
+    scene.process(
+        2,
+        ProcessEventKind.RESTARTING,
+        message=again,
+        cause=Cause.SIGNAL,
+        sequel=Sequel.RESTART,
+        delay_ns=SECOND // 10,
+    )
     scene.process(3, ProcessEventKind.STARTED)
     scene.node(3.5, "/a", LOADED)
     (finding,) = scene.story(tmp_path).findings
-    assert (finding.kind, finding.who, finding.hit) == (Kind.DIED, "/box", ("/a", "/b"))
-    assert finding.done == ("starts again in 0.10 s",)
+    assert (finding.kind, finding.who, finding.hit) == (Fault.DIED, "/box", ("/a", "/b"))
+    assert finding.done == ("restarted after 0.10 s",)
     assert set(finding.away) == {
-        Away("/box", SECOND),
-        Away("/a", SECOND * 3 // 2),
-        Away("/b", None),
+        Downtime("/box", SECOND),
+        Downtime("/a", SECOND * 3 // 2),
+        Downtime("/b", None),
     }
 
 
-def test_what_is_killed_for_a_dead_node_is_blamed_on_that(tmp_path: Path) -> None:
-    scene = Scene()
+def test_what_is_killed_for_a_dead_node_is_blamed_on_that(scene: Scene, tmp_path: Path) -> None:
     scene.started()
     for name, pid in (("/holder", 7), ("/waiting", 8)):
         scene.node(1, name, LOADED, pid=pid)
     scene.crashed(2, "/holder", signal=9, error_message="SIGKILL", backtrace=())
     why = "killed: a node died with a lock: thread 9 of process 8 waits for one held by process 7"
-    scene.process(3, ProcessEventKind.STOPPING, message=why)
-    scene.process(3.1, ProcessEventKind.EXITED, signal=9)
+    cause, culprit = Cause.NODE_LEFT_LOCK, "/box:/holder"
+    scene.process(3, ProcessEventKind.STOPPING, message=why, cause=cause, culprit=culprit)
+    scene.process(3.1, ProcessEventKind.EXITED, signal=9, cause=cause)
     scene.node(3.1, "/waiting", LOST)
     (finding,) = scene.story(tmp_path).findings
-    assert (finding.kind, finding.who) == (Kind.CRASHED, "/holder")
+    assert (finding.kind, finding.who) == (Fault.CRASHED, "/holder")
     assert finding.hit == ("/box", "/waiting")
     assert "process 8 (/waiting) waits for one held by process 7 (/holder)" in finding.done[-1]
 
 
-def test_what_is_killed_for_its_own_sake(tmp_path: Path) -> None:
-    scene = Scene()
+def test_what_is_killed_for_its_own_sake(scene: Scene, tmp_path: Path) -> None:
     scene.started()
-    scene.process(3, ProcessEventKind.STOPPING, message="killed: it is frozen: no answer for 3 s")
-    scene.process(3.1, ProcessEventKind.EXITED, signal=9)
+    why, cause = "killed: it is frozen: no answer for 3 s", Cause.FROZEN
+    scene.process(3, ProcessEventKind.STOPPING, message=why, cause=cause)
+    scene.process(3.1, ProcessEventKind.EXITED, signal=9, cause=cause)
     (finding,) = scene.story(tmp_path).findings
-    assert (finding.kind, finding.cause) == (Kind.KILLED, "it is frozen: no answer for 3 s")
+    assert (finding.kind, finding.cause) == (Fault.KILLED, "it is frozen: no answer for 3 s")
 
 
-def test_who_does_not_stop_is_deaf_and_who_does_is_fine(tmp_path: Path) -> None:
-    scene = Scene()
-    for name, signal in (("/deaf", 9), ("/good", 2)):
+def test_who_does_not_stop_is_deaf_and_who_does_is_fine(scene: Scene, tmp_path: Path) -> None:
+    for name, signal, cause in (
+        ("/deaf", 9, Cause.STOP_TIMEOUT),
+        ("/good", 2, Cause.STOPPED),
+        ("/bad", 11, Cause.SIGNAL),
+    ):
         scene.process(0, ProcessEventKind.STARTED, name)
         scene.process(1, ProcessEventKind.STOPPING, name, message="the run is over")
-        scene.process(2, ProcessEventKind.EXITED, name, signal=signal)
-    assert kinds(scene.story(tmp_path).findings) == [(Kind.DEAF, "/deaf")]
+        scene.process(2, ProcessEventKind.EXITED, name, signal=signal, cause=cause)
+    assert kinds(scene.story(tmp_path).findings) == [(Fault.STOP_TIMEOUT, "/deaf")]
 
 
 DEADLINE = "SIGTERM (it did not leave in time after the signal) in thread 'main'"
@@ -149,82 +150,36 @@ TIMEOUT = "SIGABRT (uncaught exception Timeout: the vehicle did not leave in tim
 
 @pytest.mark.parametrize(
     ("signal", "said", "kind"),
-    [(15, DEADLINE, Kind.DEAF), (6, TIMEOUT, Kind.CRASHED), (6, f"a; {DEADLINE}", Kind.CRASHED)],
-)
-@pytest.mark.parametrize("sequel", ["it stays away", ""])
-def test_what_a_program_says_of_its_end_does_not_decide_what_it_is(
-    tmp_path: Path, signal: int, said: str, kind: Kind, sequel: str
-) -> None:
-    scene = Scene()
-    scene.started()
-    scene.node(1, "/gate", LOADED)
-    scene.crashed(2, "/gate", signal=signal, error_message=said, sequel=sequel)
-    (finding,) = scene.story(tmp_path).findings
-    assert (finding.kind, finding.cause) == (kind, said)
-    assert finding.done == tuple(filter(None, [sequel]))
-
-
-@pytest.mark.parametrize(
-    ("finding", "text"),
     [
-        ({"kind": Kind.CRASHED}, "/cam crashed at 12.345 s after the start."),
-        (
-            {"kind": Kind.UNFINISHED, "who": ""},
-            (
-                "The recording is incomplete and ends 12.345 s after the start: "
-                "play-launch was killed, or still runs."
-            ),
-        ),
-        (
-            {"kind": Kind.NOT_LOADED, "state": "requested"},
-            "/cam was never loaded: it was requested since 12.345 s after the start.",
-        ),
-        (
-            {"kind": Kind.NOT_LOADED, "state": "lost"},
-            "/cam was not loaded again: it was lost since 12.345 s after the start.",
-        ),
-        (
-            {"kind": Kind.GREW},
-            "/cam kept growing, from 12.345 s after the start to the end.",
-        ),
-        (
-            {"kind": Kind.SLOW},
-            "/cam was slow to construct: it was not ready at 12.345 s after the start.",
-        ),
-        (
-            {"kind": Kind.STARVED},
-            "/cam starved others of CPU time, from 12.345 s after the start on.",
-        ),
-        (
-            {"kind": Kind.STARVED, "times_ns": (ns(12.345), ns(20))},
-            "/cam starved others of CPU time 2 times, first from 12.345 s after the start on.",
-        ),
-        (
-            {"kind": Kind.LOAD_FAILED},
-            "/cam failed to load at 12.345 s after the start.",
-        ),
-        (
-            {"kind": Kind.LOAD_FAILED, "signature": Signature("SIGSEGV", ())},
-            "/cam crashed in its constructor at 12.345 s after the start.",
-        ),
+        (15, DEADLINE, Fault.STOP_TIMEOUT),
+        (6, TIMEOUT, Fault.CRASHED),
+        (6, f"a; {DEADLINE}", Fault.CRASHED),
     ],
 )
-def test_headlines_can_be_said_of_their_times(finding: dict[str, Any], text: str) -> None:
-    given = {"who": "/cam", "times_ns": (ns(12.345),), **finding}
-    assert headline(Finding(**given), ns(0)) == text
+@pytest.mark.parametrize("sequel", [STAYS, ("", Sequel.NONE)])
+def test_what_a_program_says_of_its_end_does_not_decide_what_it_is(
+    scene: Scene, tmp_path: Path, signal: int, said: str, kind: Fault, sequel: tuple[str, Sequel]
+) -> None:
+    scene.started()
+    scene.node(1, "/gate", LOADED)
+    cause = Cause.STOP_TIMEOUT if kind is Fault.STOP_TIMEOUT else Cause.EXCEPTION
+    scene.crashed(2, "/gate", signal=signal, error_message=said, sequel=sequel, cause=cause)
+    (finding,) = scene.story(tmp_path).findings
+    assert (finding.kind, finding.cause) == (kind, said)
+    assert finding.done == ()
 
 
-def test_a_slow_constructor_with_how_long_it_took(tmp_path: Path) -> None:
-    scene = Scene()
+def test_a_slow_constructor_with_how_long_it_took(scene: Scene, tmp_path: Path) -> None:
     scene.started()
     scene.node(1, "/engine", LOADING)
     for at in (11, 21):
         scene.node(at, "/engine", LOADING, reason=f"its constructor runs for {at - 1:.1f} s")
     scene.node(25, "/engine", LOADED, elapsed_ns=24 * SECOND)
     (finding,) = scene.story(tmp_path).findings
-    assert (finding.kind, finding.times_ns) == (Kind.SLOW, (ns(11),))
-    assert finding.cause == "its constructor runs for 20.0 s"
-    assert finding.away == (Away("/engine", 24 * SECOND),)
+    assert (finding.kind, finding.times_ns) == (Fault.SLOW, (ns(11),))
+    assert finding.cause == "its constructor runs for 20.0 s; it took 24 s"
+    what = "was slow to construct: it was not ready at 11.000 s after the start."
+    assert headline(finding, ns(0)) == f"/engine in /box {what}"
 
 
 @settings(max_examples=60)
@@ -232,26 +187,35 @@ def test_a_slow_constructor_with_how_long_it_took(tmp_path: Path) -> None:
 def test_any_events_make_a_story(events: list[RunEvent]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         story = Scene(events).story(Path(folder))
-        lines = list(paragraphs(story.findings, story.session))
+        lines = list(paragraphs(story.findings, story.timeline))
     assert all(finding.times_ns for finding in story.findings)
     assert lines[-1].endswith(".")
     assert msgspec.json.encode(story.findings)
 
 
 def test_just_before_the_start_is_at_the_start() -> None:
-    finding = Finding(kind=Kind.CRASHED, who="/a", times_ns=(ns(1) - 1000,))
+    finding = Finding(
+        kind="crashed", rank=0, says="crashed {when}", who="/a", times_ns=(ns(1) - 9,)
+    )
     assert headline(finding, ns(1)) == "/a crashed at 0.000 s after the start."
 
 
-def test_who_never_came(tmp_path: Path) -> None:
+@pytest.mark.parametrize("state", [NodeState.PENDING, LOST])
+def test_a_node_that_was_never_loaded(tmp_path: Path, state: NodeState) -> None:
     scene = Scene()
     scene.started()
-    scene.node(1, "/late", NodeState.PENDING)
-    assert kinds(scene.story(tmp_path).findings) == [(Kind.NOT_LOADED, "/late")]
+    scene.node(1, "/late", state)
+    scene.node(1, "/gone", state)
+    scene.events.append(Withdrawn(stamp_ns=ns(2), kind=SubjectKind.NODE, key="/box:/gone"))
+    story = scene.story(tmp_path)
+    assert kinds(story.findings) == [("not_loaded", "/late")]
+    what = "not loaded again" if state is LOST else "never loaded"
+    text = f"/late in /box was {what}: it was {state} since 1.000 s after the start."
+    assert headline(story.findings[0], ns(0)) == text
+    assert story.timeline.size() == {"container": 1, "node": 1, "process": 0}
 
 
-def test_the_last_lines_are_those_of_the_node(tmp_path: Path) -> None:
-    scene = Scene()
+def test_the_last_lines_are_those_of_the_node(scene: Scene, tmp_path: Path) -> None:
     scene.started()
     scene.node(0.5, "/ns/talker", LOADED)
     for number in range(30):
@@ -314,7 +278,9 @@ def test_who_grows_without_failing(tmp_path: Path) -> None:
         # Takes its memory at once and keeps it.
         scene.used(at, "/big", memory_bytes=10**7 if at < 2 else 10**9)
     (finding,) = scene.story(tmp_path).findings
-    assert (finding.kind, finding.who) == (Kind.GREW, "/leaker")
+    assert (finding.kind, finding.who) == ("grew", "/leaker")
+    text = "memory 190.0 MB -> 1.09 GB in 1 min 30 s, still rising at the end"
+    assert headline(finding, ns(0)) == f"/leaker may leak: {text}."
 
 
 @pytest.mark.parametrize(
@@ -333,7 +299,7 @@ def test_who_starved_whom(tmp_path: Path, pressure: float, percent: float, is_bu
         assert found == ()
         return
     (finding,) = found
-    assert (finding.kind, finding.who, finding.hit) == (Kind.STARVED, "/hog", ("/poor",))
+    assert (finding.kind, finding.who, finding.hit) == ("starved", "/hog", ("/poor",))
 
 
 def test_a_recording_without_an_end_is_no_failure_and_a_full_disk_is(tmp_path: Path) -> None:
@@ -341,31 +307,46 @@ def test_a_recording_without_an_end_is_no_failure_and_a_full_disk_is(tmp_path: P
     scene.started()
     scene.machine(1)
     path = scene.record(tmp_path / "cut.mcap", finished=False)
-    found = read_story(path).findings
-    assert kinds(found) == [(Kind.UNFINISHED, "")]
+    found = story_of(path).findings
+    assert kinds(found) == [("unfinished", "")]
     assert not is_wrong(found)
     scene.machine(2, disk_free=1000)
     path = scene.record(tmp_path / "full.mcap", finished=False)
-    found = read_story(path).findings
-    assert [each.kind for each in found] == [Kind.DISK_FULL, Kind.UNFINISHED]
+    found = story_of(path).findings
+    assert [each.kind for each in found] == ["disk_full", "unfinished"]
     assert is_wrong(found)
 
 
-def test_when_the_recording_took_nothing(tmp_path: Path) -> None:
-    scene = Scene()
+def test_interruptions_of_the_recording(scene: Scene, tmp_path: Path) -> None:
     scene.started()
+    why = "cannot write x.mcap: No space left on device"
     for at, text in (
-        (1, "the recording is interrupted: cannot write x.mcap: No space left on device"),
-        (3, "the recording goes on after 2.0 s; nothing is lost"),
+        (1, f"the recording is interrupted: {why}"),
+        (3, "recording resumed after 2.0 s, no data lost"),
     ):
         scene.events.append(
             LogRecord(
                 stamp_ns=ns(at), level=40, name="play_launch.recording.recorder", message=text
             )
         )
+    if scene.has_codes:
+        event = RecordingInterrupted(stamp_ns=ns(1), reason=why, lasted_ns=2 * SECOND)
+        scene.events.append(event)
     (finding,) = scene.story(tmp_path).findings
-    assert (finding.kind, finding.known) == (Kind.INTERRUPTED, "disk_full")
-    assert finding.done == ("the recording goes on after 2.0 s; nothing is lost",)
+    assert (finding.kind, finding.known) == ("interrupted", "disk_full")
+    assert (finding.times_ns, finding.cause) == ((ns(1),), why)
+    assert finding.done == ("it resumed after 2.0 s, no data lost",)
+
+
+def test_a_node_that_is_given_up(scene: Scene, tmp_path: Path) -> None:
+    scene.started()
+    scene.node(1, "/talker", LOADED)
+    scene.crashed(2, "/talker", sequel=("", Sequel.GAVE_UP))
+    why = "SIGSEGV (no memory at address 0x0) in thread 'main'; restart limit reached (3 in 60 s)"
+    scene.node(2, "/talker", NodeState.GAVE_UP, reason=why, crashes=1)
+    (finding,) = scene.story(tmp_path).findings
+    assert finding.done == ("gave up: restart limit reached (3 in 60 s)",)
+    assert finding.away == (Downtime("/talker", None),)
 
 
 def test_only_failures_gives_the_same_failures(tmp_path: Path) -> None:
@@ -375,8 +356,8 @@ def test_only_failures_gives_the_same_failures(tmp_path: Path) -> None:
     scene.line(1.5, "hello")
     scene.crashed(2, "/a")
     path = scene.record(tmp_path / "x.mcap")
-    (fast,) = read_story(path, only_failures=True).findings
-    (whole,) = read_story(path).findings
+    (fast,) = story_of(path, only_failures=True).findings
+    (whole,) = story_of(path).findings
     assert (fast.signature, fast.last_lines) == (whole.signature, ())
     assert whole.last_lines == ("hello",)
 

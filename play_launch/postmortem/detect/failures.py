@@ -1,0 +1,105 @@
+"""Units that failed: crashes, exits, failed loads, kills, slow constructors."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from play_launch.config.durations import duration
+from play_launch.postmortem.declared import Place
+from play_launch.postmortem.findings import Finding
+from play_launch.postmortem.frames import blamed
+from play_launch.postmortem.known_causes import known_cause
+from play_launch.postmortem.units import Fault
+from play_launch.supervisor.outcome import Cause, Sequel
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from play_launch.postmortem.timeline import Timeline
+
+_MANY: Final = 8
+"""Delays that are listed."""
+
+
+class _Words(NamedTuple):
+    rank: int
+    says: str
+
+
+_WORDS: Final = {
+    Fault.CRASHED: _Words(0, "crashed {when}"),
+    Fault.DIED: _Words(0, "died {when}"),
+    Fault.LOAD_FAILED: _Words(0, "failed to load {when}"),
+    Fault.KILLED: _Words(0, "was killed by play-launch {when}"),
+    Fault.STOP_TIMEOUT: _Words(4, "did not stop when it was asked to and was killed {when}"),
+    Fault.SLOW: _Words(5, "was slow to construct: it was not ready at {at}"),
+}
+_IN_CONSTRUCTOR: Final = "crashed in its constructor {when}"
+_DID: Final = {
+    Sequel.RELOAD: "reloaded",
+    Sequel.RESTART: "restarted",
+    Sequel.GAVE_UP: "gave up",
+    Sequel.CONTAINER_RESTART: "its container was restarted",
+    Sequel.CONTAINER_STOP: "its container was stopped",
+    Sequel.SHUTDOWN: "everything was stopped",
+}
+
+
+def detect(timeline: Timeline) -> Iterator[Finding]:
+    for each in timeline.failures:
+        rank, says = _WORDS[each.fault]
+        if each.fault is Fault.LOAD_FAILED and each.is_crash:
+            says = _IN_CONSTRUCTOR
+        number = blamed(each.frames)
+        place = Place(
+            frame=None if number is None else each.frames[number],
+            plugin=each.plugin,
+            package=each.package,
+            container=each.container,
+        )
+        is_oom, is_slow = each.code is Cause.OUT_OF_MEMORY, each.fault is Fault.SLOW
+        took = f"; it took {duration(each.away[-1].ns or 0)}" if is_slow and each.away else ""
+        yield Finding(
+            kind=each.fault.value,
+            rank=rank,
+            says=says,
+            who=each.who,
+            key=each.key,
+            times_ns=tuple(each.times),
+            cause=each.cause + took,
+            known="out_of_memory" if is_oom else known_cause(each.cause, each.last_lines),
+            place=place,
+            frames=each.frames,
+            modules=each.modules,
+            signature=each.signature,
+            is_crash=each.is_crash,
+            state=each.state,
+            since_ns=each.since_ns,
+            last_lines=each.last_lines,
+            parameters=each.parameters,
+            before=timeline.samples.before(each.key, each.who, each.pid, each.log_time),
+            hit=tuple(each.hit),
+            done=tuple(_done(each.sequels)),
+            away=() if is_slow else tuple(each.away),
+        )
+
+
+def _done(sequels: Mapping[tuple[Sequel, int], str]) -> Iterator[str]:
+    """Word what the supervisor did: ``reloaded immediately, after 0.03 s``."""
+    for sequel, words in _DID.items():
+        found = [(delay, reason) for (each, delay), reason in sequels.items() if each is sequel]
+        if not found:
+            continue
+        reasons = [reason for _, reason in found if reason]
+        if reasons:
+            yield f"{words}: {reasons[0]}" if sequel is Sequel.GAVE_UP else reasons[0]
+        elif sequel in {Sequel.RELOAD, Sequel.RESTART}:
+            delays = list(dict.fromkeys(_after(delay) for delay, _ in found))
+            more = f" and {len(delays) - _MANY} more" if len(delays) > _MANY else ""
+            yield f"{words} {', '.join(delays[:_MANY])}{more}"
+        else:
+            yield words
+
+
+def _after(delay_ns: int) -> str:
+    return f"after {delay_ns / 1e9:.2f} s" if delay_ns else "immediately"

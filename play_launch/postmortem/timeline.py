@@ -1,0 +1,435 @@
+"""What happened in a session: one pass over its recording, one record for each unit.
+
+All commands about recordings count what is here. A failure takes what follows from it: the same one
+again, what the supervisor does, downtimes.
+"""
+
+from __future__ import annotations
+
+import heapq
+import re
+from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
+
+from play_launch.postmortem.events import UnreadableEventError, event_of
+from play_launch.postmortem.last_lines import LastLines
+from play_launch.postmortem.parameters import TOPICS as PARAMETER_TOPICS
+from play_launch.postmortem.parameters import Parameters
+from play_launch.postmortem.samples import Samples
+from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.units import NO_UNIT, Downtime, Failure, FailureEvent, Fault, Unit
+from play_launch.postmortem.version1 import Version1
+from play_launch.recording import topics
+from play_launch.supervisor.events import (
+    ComponentEvent,
+    ComponentEventKind,
+    ContainerState,
+    ContainerStateChanged,
+    LogRecord,
+    NodeState,
+    NodeStateChanged,
+    ProcessEvent,
+    ProcessEventKind,
+    RecordingInterrupted,
+    RunEvent,
+    SubjectKind,
+    Withdrawn,
+)
+from play_launch.supervisor.outcome import Cause, Sequel
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator
+    from pathlib import Path
+
+    from play_launch.postmortem.bag_reader import Message
+    from play_launch.postmortem.units import Reason, State
+
+MOST_CHANGES: Final = 300_000
+"""Changes of state that are kept; further ones are counted."""
+MOST_EVENTS: Final = 5_000
+"""Failures that are kept one by one; further ones are counted."""
+_MOST_TIMES: Final = 10_000
+"""Moments of one failure that are kept."""
+_LATE_LINES: Final = 200_000_000
+"""Nanoseconds that the last lines of a process may take to the recording."""
+_KILLED: Final = frozenset({Cause.FROZEN, Cause.CHANNEL_FAILED, Cause.NODE_LEFT_LOCK})
+_WORDED: Final = frozenset({Sequel.RELOAD, Sequel.CONTAINER_RESTART, Sequel.SHUTDOWN})
+"""Sequels that stand at the end of the reason of a node as well."""
+_PROCESS: Final = re.compile(r"\bprocess (\d+)\b")
+_ARRIVED: Final = frozenset(
+    {
+        NodeState.LOADED,
+        NodeState.LOAD_FAILED,
+        NodeState.CRASHED,
+        NodeState.GAVE_UP,
+        NodeState.LOST,
+        NodeState.UNLOADED,
+    }
+)
+_STATES: Final = frozenset({topics.COMPONENT_EVENTS.name, topics.STATES.name, topics.LOG_ALL.name})
+_OTHERS: Final = frozenset({*PARAMETER_TOPICS, topics.OUTPUT.name, topics.SYSTEM.name})
+
+
+class Timeline:
+    """The state of the pass, whole when all messages were taken and `end` was called."""
+
+    def __init__(self, path: Path) -> None:
+        self.session = PastSession(path)
+        self.units: list[Unit] = []
+        self.failures: list[Failure] = []
+        self.events: list[FailureEvent] = []
+        self.events_left_out = self.changes_left_out = 0
+        self.interruptions: list[RecordingInterrupted] = []
+        self.samples = Samples()
+        self.parameters = Parameters()
+        self._lines = LastLines()
+        self._version1 = Version1()
+        self._by_key: dict[tuple[bool, str], Unit] = {}
+        self._by_pid: dict[int, str] = {}
+        self._known: dict[Reason, Failure] = {}
+        self._reports: dict[str | tuple[int, int], ComponentEvent] = {}
+        """Of nodes whose state has not followed yet, by name and by what every one has."""
+        self._waiting: list[tuple[int, int, Failure]] = []
+        """Failures whose last lines may still come, and until when."""
+        self._changes = 0
+
+    def messages(
+        self, wanted: Container[str] | None = None
+    ) -> Iterator[tuple[Message, RunEvent | None]]:
+        """Take the messages of these topics (None: all), and give each with its event, if read.
+
+        Raises:
+            NotARecordingError: At once, for another kind of file.
+        """
+        for message in self.session.reader.messages(wanted):
+            yield message, self.take(message)
+        self.end()
+
+    def unit(self, kind: SubjectKind, key: str) -> Unit:
+        """Give the unit of that key; it is made when it is new."""
+        of_a_node = kind is SubjectKind.NODE
+        unit = self._by_key.get((of_a_node, key))
+        if unit is None:
+            container, _, name = key.partition(":") if of_a_node else ("", "", key)
+            number = min(len(self.units), NO_UNIT)
+            unit = Unit(number=number, kind=kind, key=key, name=name, container=container)
+            self.units.append(unit)
+            self._by_key[of_a_node, key] = unit
+        elif kind is SubjectKind.CONTAINER:
+            unit.kind = kind
+        return unit
+
+    def of_name(self, name: str) -> Unit:
+        """Give the container or process of that name."""
+        return self._by_key.get((False, name)) or self.unit(SubjectKind.PROCESS, name)
+
+    def take(self, message: Message) -> RunEvent | None:
+        """Take one message; return the event that it was read as, if it was."""
+        while self._waiting and message.log_time > self._waiting[0][0]:
+            self._read_lines(heapq.heappop(self._waiting)[2])
+        topic = message.topic
+        if topic.type_name == topics.PROCESS_STATS:
+            self.samples.of(topic.key)(message)
+        elif topic.name == topics.OUTPUT.name:
+            self._lines.take(message)
+        elif topic.name == topics.SYSTEM.name:
+            self.samples.take_system(message)
+        else:
+            try:
+                if topic.name in PARAMETER_TOPICS:
+                    self.parameters.take(message)
+                elif topic.name in _STATES:
+                    event = event_of(message)
+                    if event is not None:
+                        self.fold(event, message.log_time)
+                    return event
+            except UnreadableEventError as error:
+                self.session.note_damage(message, error)
+        return None
+
+    def fold(self, event: RunEvent, at_ns: int) -> None:
+        """Take one event, received at that log time."""
+        match event:
+            case NodeStateChanged():
+                self._version1.is_over |= event.cause is not Cause.NOT_RECORDED
+                self._node(event, at_ns)
+            case ProcessEvent():
+                self._version1.is_over |= event.cause is not Cause.NOT_RECORDED
+                self._process(event, at_ns)
+            case ContainerStateChanged():
+                self._container(event, at_ns)
+            case ComponentEvent(kind=ComponentEventKind.CRASHED | ComponentEventKind.LOAD_FAILED):
+                self._reports[event.full_node_name] = event
+                if event.unique_id or event.attempt:  # else it is about the container itself
+                    self._reports[event.unique_id, event.attempt] = event
+            case RecordingInterrupted():
+                self.interruptions.append(event)
+            case Withdrawn():
+                self.unit(event.kind, event.key).is_withdrawn = True
+            case LogRecord():
+                self._version1.log(event)
+
+    def end(self) -> None:
+        """Finish: no message comes any more, and units that are down stay down."""
+        while self._waiting:
+            self._read_lines(heapq.heappop(self._waiting)[2])
+        self.interruptions += self._version1.interruptions()
+        for unit in self.units:
+            if unit.down_since_ns and unit.failure is not None:
+                unit.failure.away.append(Downtime(unit.name, None))
+
+    def _container(self, event: ContainerStateChanged, at_ns: int) -> None:
+        unit = self.unit(SubjectKind.CONTAINER, event.container)
+        if unit.state is None or not isinstance(unit.state, ContainerState):
+            unit.changes.clear()
+        if event.state is ContainerState.STARTING:
+            unit.begun_ns = unit.begun_ns or at_ns
+        elif event.state is ContainerState.RUNNING:
+            unit.ready_ns = unit.ready_ns or at_ns
+        self._change(unit, event.state, at_ns)
+
+    def _change(self, unit: Unit, state: State, at_ns: int, *, is_failure: bool = False) -> None:
+        unit.state, unit.is_withdrawn = state, False
+        if self._changes >= MOST_CHANGES:
+            self.changes_left_out += 1
+            return
+        self._changes += 1
+        unit.changes.append((at_ns, state, is_failure))
+
+    def _node(self, event: NodeStateChanged, at_ns: int) -> None:
+        unit = self.unit(SubjectKind.NODE, str(event.key))
+        container = self.unit(SubjectKind.CONTAINER, event.container)
+        is_new_crash = unit.state is not None and event.crashes > unit.crashes
+        is_repeated = unit.state is event.state and not is_new_crash
+        if event.pid:
+            self._by_pid[event.pid] = event.node
+        if event.state is NodeState.LOADING and unit.failure is not None:
+            unit.failure.back_at = unit.failure.back_at or at_ns
+        if event.state is NodeState.LOADING and is_repeated and event.reason:
+            slow = Failure.of_node(Fault.SLOW, event, unit, at_ns)
+            self._add(slow, unit, "").cause = event.reason  # the latest one has the longest time
+        self._arrive(event, unit, at_ns)
+        match event.state:
+            case NodeState.LOADED if not is_repeated:
+                self._is_back(unit, event.stamp_ns)
+                if known := self._known.get((Fault.SLOW, unit.key, None)):
+                    known.away = [Downtime(event.node, event.elapsed_ns)]
+            case NodeState.CRASHED | NodeState.LOAD_FAILED if not is_repeated:
+                self._node_failed(event, unit, container, at_ns)
+            case NodeState.GAVE_UP if not is_repeated:
+                self._gave_up(unit, event.reason, at_ns)
+            case NodeState.LOST if not is_repeated:
+                self._lost(event, unit, container)
+        unit.crashes, unit.restarts, unit.reason = event.crashes, event.reloads, event.reason
+        if not is_repeated:
+            self._change(unit, event.state, at_ns)
+            unit.since_ns = event.stamp_ns
+
+    def _arrive(self, event: NodeStateChanged, unit: Unit, at_ns: int) -> None:
+        if event.state is NodeState.LOADED:
+            unit.loaded_ns = unit.loaded_ns or event.stamp_ns
+        if unit.arrival is not None:
+            return
+        if event.state is NodeState.REQUESTED:
+            unit.begun_ns = at_ns
+        elif event.state is NodeState.LOADING:
+            unit.constructing_ns = unit.constructing_ns or at_ns
+        elif event.state in _ARRIVED:
+            unit.ready_ns, unit.arrival = at_ns, event.state
+
+    def _process(self, event: ProcessEvent, at_ns: int) -> None:
+        unit = self.of_name(event.name)
+        if event.cause is Cause.NOT_RECORDED:
+            event = self._version1.process(event, is_stopping=unit.is_stopping)
+        unit.restarts, is_failure = event.restarts, False
+        match event.kind:
+            case ProcessEventKind.STARTED:
+                self._is_back(unit, event.stamp_ns)
+                unit.is_stopping = False
+                unit.phase, unit.pid, unit.command = "running", event.pid, event.command
+                unit.since_ns = event.stamp_ns
+            case ProcessEventKind.STOPPING if event.cause in _KILLED:
+                self._killed(event, unit, at_ns)
+            case ProcessEventKind.STOPPING:
+                unit.is_stopping, unit.phase, unit.since_ns = True, "stopping", event.stamp_ns
+            case ProcessEventKind.EXITED:
+                is_failure = self._exited(event, unit, at_ns)
+            case ProcessEventKind.RESTARTING if unit.failure is not None:
+                unit.failure.follow(event.sequel, event.delay_ns)
+            case ProcessEventKind.GAVE_UP:
+                self._gave_up(unit, event.message, at_ns)
+        unit.reason = event.message
+        if unit.kind is SubjectKind.PROCESS:
+            self._change(unit, event.kind, at_ns, is_failure=is_failure)
+
+    def _node_failed(
+        self, event: NodeStateChanged, unit: Unit, container: Unit, at_ns: int
+    ) -> None:
+        by_number = self._reports.pop((event.unique_id, event.attempt), None)
+        report = self._reports.pop(event.node, by_number)  # one may have no declared name
+        if report is not None:
+            self._reports.pop(report.full_node_name, None)
+        recorded = event.reason
+        if event.cause is Cause.NOT_RECORDED:
+            event = self._version1.node(event, report, is_stopping=container.is_stopping)
+        elif event.sequel in _WORDED:
+            event = replace(event, reason=event.reason.rpartition("; ")[0] or event.reason)
+        fault = Fault.CRASHED if event.state is NodeState.CRASHED else Fault.LOAD_FAILED
+        if fault is Fault.CRASHED and event.cause is Cause.STOP_TIMEOUT:
+            fault = Fault.STOP_TIMEOUT
+        failure = Failure.of_node(fault, event, unit, at_ns)
+        failure.explain(report)
+        failure = self._add(failure, unit, recorded)
+        if event.sequel is not Sequel.GAVE_UP:  # that has an event of its own, with its reason
+            failure.follow(event.sequel, event.delay_ns)
+        unit.failure = failure
+        if not container.is_stopping:
+            unit.down_since_ns = unit.down_since_ns or event.stamp_ns
+
+    def _lost(self, event: NodeStateChanged, unit: Unit, container: Unit) -> None:
+        failure = container.failure
+        if failure is None or container.is_stopping:
+            return
+        if event.node != failure.who:
+            failure.hit[event.node] = None
+        if not unit.down_since_ns:
+            unit.down_since_ns, unit.failure = event.stamp_ns, failure
+
+    def _gave_up(self, unit: Unit, reason: str, at_ns: int) -> None:
+        if unit.failure is not None:
+            why = reason.removeprefix(unit.reason).removeprefix("; ")
+            why = reason.rpartition("; ")[2] if why in {"", reason} else why
+            unit.failure.follow(Sequel.GAVE_UP, 0, why)
+        self._event(FailureEvent(unit, at_ns, None, reason))
+
+    def _killed(self, event: ProcessEvent, unit: Unit, at_ns: int) -> None:
+        """The supervisor kills it; for what a node left behind, that node is to blame."""
+        why = self._named(event.message.partition(": ")[2])
+        culprit = self._by_key.get((True, event.culprit))
+        if culprit is not None and culprit.failure is not None:
+            failure = culprit.failure
+            failure.follow(Sequel.CONTAINER_RESTART, 0, f"{event.name} was killed: {why}")
+            failure.hit[event.name] = None
+        else:
+            failure = Failure.of_process(Fault.KILLED, event, at_ns, unit.phase, unit.since_ns)
+            failure.signature, failure.cause = None, why
+            failure = self._add(failure, unit, event.message)
+        unit.failure, unit.phase, unit.down_since_ns = failure, "killed", event.stamp_ns
+        unit.is_stopping = False
+
+    def _exited(self, event: ProcessEvent, unit: Unit, at_ns: int) -> bool:
+        """Take the end of a process; return whether it is one that was not wanted."""
+        was, since_ns = unit.phase, unit.since_ns
+        unit.phase, unit.since_ns = "exited", event.stamp_ns
+        if was == "killed" or (event.exit_code == 0 and event.signal == 0):
+            return was == "killed"
+        fault = Fault.DIED
+        if unit.is_stopping:
+            if event.cause is not Cause.STOP_TIMEOUT:
+                return False
+            fault = Fault.STOP_TIMEOUT
+        failure = Failure.of_process(fault, event, at_ns, was, since_ns)
+        report = self._reports.pop(event.name, None)
+        if report is not None and report.pid == event.pid and event.signal:
+            failure.explain(report)
+        failure = self._add(failure, unit, event.message)
+        unit.failure = failure
+        if not unit.is_stopping:
+            unit.down_since_ns = event.stamp_ns
+        return fault is Fault.DIED
+
+    def _named(self, text: str) -> str:
+        """Name the nodes of the processes that a text has the pids of."""
+
+        def name(found: re.Match[str]) -> str:
+            node = self._by_pid.get(int(found[1]))
+            return f"{found[0]} ({node})" if node else found[0]
+
+        return _PROCESS.sub(name, text)
+
+    def _is_back(self, unit: Unit, stamp_ns: int) -> None:
+        if unit.down_since_ns and unit.failure is not None:
+            unit.failure.add_downtime(Downtime(unit.name, stamp_ns - unit.down_since_ns))
+        unit.down_since_ns = 0
+
+    def _add(self, failure: Failure, unit: Unit, reason: str) -> Failure:
+        """Take a failure, or count it as one that is known."""
+        same: Reason = (failure.fault, failure.key, failure.signature)
+        known = self._known.get(same)
+        if known is None:
+            known = self._known[same] = failure
+            self.failures.append(failure)
+            if parameters := self.parameters.nodes.get(failure.who):
+                failure.parameters = parameters.of_life(failure.since_ns) or None
+            until = failure.log_time + _LATE_LINES
+            heapq.heappush(self._waiting, (until, len(self.failures), failure))
+        elif failure.fault is Fault.SLOW:
+            return known
+        if len(known.times) < _MOST_TIMES:
+            known.times.append(failure.at_ns)
+        frames = tuple(frame.text for frame in failure.frames)
+        self._event(FailureEvent(unit, failure.log_time, known, reason, frames))
+        return known
+
+    def _event(self, event: FailureEvent) -> None:
+        if len(self.events) < MOST_EVENTS:
+            self.events.append(event)
+        else:
+            self.events_left_out += 1
+
+    @property
+    def crashes(self) -> list[Failure]:
+        return [each for each in self.failures if each.is_crash]
+
+    def size(self) -> dict[str, int]:
+        """Count the containers, nodes and processes that were not taken out of the system."""
+        counts = {"container": 0, "node": 0, "process": 0}
+        for unit in self.units:
+            counts[unit.kind.name.lower()] += unit.is_known and not unit.is_withdrawn
+        return counts
+
+    def last_lines(self, unit: Unit) -> tuple[str, ...]:
+        """Give the last lines of a unit up to its latest change of state."""
+        until = unit.since_ns + _LATE_LINES
+        if unit.container:
+            return self._lines.of_node(unit.container, unit.name, until)
+        return self._lines.of_process(unit.name, until)
+
+    def _read_lines(self, failure: Failure) -> None:
+        until = failure.log_time + _LATE_LINES
+        if failure.container:
+            # When it is loaded again, other lines follow.
+            until = min(until, failure.back_at or until)
+            failure.last_lines = self._lines.of_node(failure.container, failure.who, until)
+        else:
+            failure.last_lines = self._lines.of_process(failure.who, until)
+
+
+def read_timeline(path: Path, *, only_failures: bool = False) -> Timeline:
+    """Read a recording to its end, or to where it cannot be read any more.
+
+    With ``only_failures``, what was written and measured is left out, which is faster.
+
+    Raises:
+        NotARecordingError: For another kind of file.
+    """
+    timeline = Timeline(path)
+    for _ in timeline.messages(_Wanted(only_failures=only_failures)):
+        pass
+    return timeline
+
+
+class _Wanted:
+    """The topics that are read: what the user recorded besides does not matter here."""
+
+    def __init__(self, *, only_failures: bool) -> None:
+        self._names = _STATES if only_failures else _STATES | _OTHERS
+        self._has_samples = not only_failures
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names or (
+            self._has_samples
+            and str(name).startswith("/play_launch/")
+            and str(name).endswith(("/stats", "/cgroup"))
+        )

@@ -1,0 +1,224 @@
+"""The units of a session, and their failures with what led to them and what followed."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from msgspec import Struct, field
+
+from play_launch.postmortem.frames import Frame, Signature, ending, frame_of, signature_of
+from play_launch.postmortem.parameters import ParametersOfALife  # noqa: TC001 - a field of a Struct
+from play_launch.postmortem.source_lines import Module, module_of
+from play_launch.supervisor.events import (
+    ComponentEventKind,
+    ContainerState,
+    NodeState,
+    ProcessEventKind,
+    SubjectKind,
+)
+from play_launch.supervisor.outcome import Cause, Sequel
+
+if TYPE_CHECKING:
+    from play_launch.supervisor.events import ComponentEvent, NodeStateChanged, ProcessEvent
+
+State: TypeAlias = NodeState | ContainerState | ProcessEventKind
+
+NO_UNIT: Final = 0xFFFF
+"""Number of what is no unit, and of the units beyond so many: a page has 16 bits for one."""
+
+_MOST_DOWNTIMES: Final = 10_000
+"""Of one failure, that are kept."""
+
+
+class Fault(StrEnum):
+    """What can happen to a unit."""
+
+    CRASHED = "crashed"
+    """A composable node died alone."""
+    DIED = "died"
+    """A container or an ordinary process exited unrequested, and not with status 0."""
+    LOAD_FAILED = "load_failed"
+    KILLED = "killed"
+    """The supervisor killed a container."""
+    STOP_TIMEOUT = "deaf"
+    """It did not end when it was requested to, and was killed."""
+    SLOW = "slow"
+    """A constructor took longer than `loading_timeout`."""
+
+
+Reason: TypeAlias = tuple[Fault, str, Signature | None]
+"""What equal failures have in common; the second is the key of the unit."""
+
+
+class Downtime(Struct, frozen=True):
+    """How long a unit was down."""
+
+    who: str
+    ns: int | None
+    """Nanoseconds; None: until the end."""
+
+
+class Failure(Struct, kw_only=True):
+    """One thing that happened to a unit, once or more often; details are of the first time."""
+
+    fault: Fault
+    key: str
+    who: str
+    """Name of the unit."""
+    container: str = ""
+    """Of a node."""
+    at_ns: int
+    log_time: int
+    cause: str
+    """In the words of the recording."""
+    code: Cause = Cause.NONE
+    signature: Signature | None = None
+    frames: tuple[Frame, ...] = ()
+    modules: tuple[Module, ...] = ()
+    plugin: str = ""
+    package: str = ""
+    pid: int = 0
+    state: str = ""
+    """Before, as recorded (``loaded``); empty: not known."""
+    since_ns: int = 0
+    """Since when it was in that state."""
+    back_at: int = 0
+    """Log time when it was started again first; 0: not yet."""
+    times: list[int] = field(default_factory=list)
+    sequels: dict[tuple[Sequel, int], str] = field(default_factory=dict)
+    """What the supervisor did and after how many nanoseconds, with its reason if it has one."""
+    away: list[Downtime] = field(default_factory=list)
+    hit: dict[str, None] = field(default_factory=dict)
+    """Names of other units that were down because of it."""
+    last_lines: tuple[str, ...] = ()
+    parameters: ParametersOfALife | None = None
+
+    @classmethod
+    def of_node(cls, fault: Fault, event: NodeStateChanged, unit: Unit, at_ns: int) -> Failure:
+        return cls(
+            fault=fault,
+            key=unit.key,
+            who=event.node,
+            container=event.container,
+            at_ns=event.stamp_ns,
+            log_time=at_ns,
+            cause=event.reason,
+            code=event.cause,
+            pid=event.pid,
+            state=unit.state.value if isinstance(unit.state, StrEnum) else "",
+            since_ns=unit.since_ns,
+        )
+
+    @classmethod
+    def of_process(
+        cls, fault: Fault, event: ProcessEvent, at_ns: int, state: str, since_ns: int
+    ) -> Failure:
+        what = ending(event.signal, event.exit_code, "")
+        return cls(
+            fault=fault,
+            key=event.name,
+            who=event.name,
+            at_ns=event.stamp_ns,
+            log_time=at_ns,
+            cause=event.message or what,
+            code=event.cause,
+            signature=Signature(what, (event.name,)),
+            pid=event.pid,
+            state=state,
+            since_ns=since_ns,
+        )
+
+    @property
+    def is_crash(self) -> bool:
+        """Whether a unit ended by a fault: what every command counts as a crash.
+
+        A load that failed is one when the constructor took its process along.
+        """
+        return self.fault in _ENDS and self.signature is not None
+
+    def explain(self, report: ComponentEvent | None) -> None:
+        """Add what the container reported about it."""
+        if report is None:
+            if self.fault is Fault.CRASHED:  # the report is not in the recording
+                self.signature = Signature(self.cause.partition(" (")[0], (self.who,))
+            return
+        self.cause = report.error_message or self.cause
+        self.plugin, self.package = report.plugin_name, report.package_name
+        self.pid = report.pid or self.pid
+        self.frames = tuple(map(frame_of, report.backtrace))
+        self.modules = tuple(filter(None, map(module_of, report.modules)))
+        has_crashed = report.kind is ComponentEventKind.CRASHED
+        if has_crashed or report.signal or report.exit_code or self.frames:
+            what = ending(report.signal, report.exit_code, report.error_message)
+            self.signature = signature_of(what, self.frames, self.who)
+
+    def follow(self, sequel: Sequel, delay_ns: int, reason: str = "") -> None:
+        """Note what the supervisor did."""
+        if sequel is not Sequel.NONE:
+            self.sequels[sequel, delay_ns] = reason
+
+    def add_downtime(self, downtime: Downtime) -> None:
+        if len(self.away) < _MOST_DOWNTIMES:
+            self.away.append(downtime)
+
+
+_ENDS: Final = frozenset({Fault.CRASHED, Fault.DIED, Fault.LOAD_FAILED})
+
+
+class Unit(Struct, kw_only=True):
+    """A container, composable node or process; times are nanoseconds since the epoch."""
+
+    number: int
+    kind: SubjectKind
+    key: str
+    name: str
+    container: str = ""
+    """Of a node."""
+    state: State | None = None
+    """None: nothing but its samples or output is recorded."""
+    since_ns: int = 0
+    pid: int = 0
+    unique_id: int = 0
+    command: tuple[str, ...] = ()
+    restarts: int = 0
+    """Of a node: reloads."""
+    crashes: int = 0
+    """As the supervisor counts them."""
+    reason: str = ""
+    """Why it is in this state."""
+    phase: str = ""
+    """Of its process: ``running``, ``stopping``, ``killed`` (by the supervisor), ``exited``."""
+    is_stopping: bool = False
+    is_withdrawn: bool = False
+    changes: list[tuple[int, State, bool]] = field(default_factory=list)
+    """Log time, state, and whether it is a failure."""
+    failure: Failure | None = None
+    """Because of which it is down; after it came back, the latest one."""
+    down_since_ns: int = 0
+    begun_ns: int = 0
+    """Log time when it was started first; of a node, requested."""
+    constructing_ns: int = 0
+    ready_ns: int = 0
+    """Log time when a container was ready first, or a node had arrived, well or not."""
+    arrival: NodeState | None = None
+    """How a node arrived."""
+    loaded_ns: int = 0
+    """When a node was loaded first."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether more than its samples and output is recorded."""
+        return self.state is not None or self.kind is SubjectKind.CONTAINER
+
+
+class FailureEvent(Struct, frozen=True):
+    """One failure of one unit at its moment; equal ones have the same `failure`."""
+
+    unit: Unit
+    at_ns: int
+    """Log time."""
+    failure: Failure | None
+    """None: the supervisor gave the unit up."""
+    reason: str
+    frames: tuple[str, ...] = ()
