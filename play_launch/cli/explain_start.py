@@ -30,9 +30,7 @@ from play_launch.runtime.commands import (
     container_command,
     is_own,
     process_command,
-    shares_memory,
 )
-from play_launch.runtime.prestart import SWITCH
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -79,11 +77,6 @@ def processes(config: ReplayConfig) -> list[dict[str, Any]]:
 def helpers(config: ReplayConfig) -> list[str]:
     """Name what `replay` starts for itself, each with what it is for."""
     found = ["spawn_guard: the parent of containers and processes, ends them with the supervisor"]
-    own = [each for each in config.containers if is_own(each)]
-    kinds = {shares_memory(each) for each in own}
-    if own and os.environ.get(SWITCH) != "0":
-        each = ", one with the allocator of isolated containers" if True in kinds else ""
-        found.append(f"component_container --zygote: is forked for containers, then ends{each}")
     if config.record.ros:
         found.append("spawn_guard: the parent of the topic recorder")
     if config.graph_daemon:

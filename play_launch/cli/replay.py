@@ -13,7 +13,6 @@ import typer
 from play_launch.cli import options
 from play_launch.cli.output import fail
 from play_launch.deploy.notification import claim
-from play_launch.runtime import prestart
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,7 +53,6 @@ def replay(  # noqa: PLR0917 - options, by name
     After a mistake in the configuration nothing is started; each problem is reported with its line.
     """
     manager = claim(os.environ)
-    prestart.begin(config)
     return bring_up(
         config,
         log_dir,

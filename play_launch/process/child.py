@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.process.cgroups.group import Group
-    from play_launch.process.zygote import Zygote
 
 INHERITED = 3
 """The number that a child has the one descriptor under that it gets beside its standard streams.
@@ -295,7 +294,6 @@ async def spawn(
     descriptors: Mapping[int, int] = MappingProxyType({}),
     on_output: OutputCallback | None = None,
     leaves_by_itself: bool = False,
-    zygote: Zygote | None = None,
     emulate_tty: bool = False,
     settings: Sequence[str] = (),
     group: Group | None = None,
@@ -310,12 +308,11 @@ async def spawn(
             parent, and ends it with everything that came of it. The program `spawn_guard` makes
             the kernel kill the child alone when the thread that called this ends
             (PR_SET_PDEATHSIG). None starts it without that.
-        cwd: Its working directory; not with a zygote.
+        cwd: Its working directory.
         descriptors: What it inherits beside its standard streams, by the number that it has there;
             without a `SessionGuard` that is our own. All others are closed.
         on_output: Gets its lines; None sends its output to /dev/null.
         leaves_by_itself: Whether it exits when the supervisor has exited, see `SessionGuard.spawn`.
-        zygote: Is forked for it; only with a `SessionGuard`.
         settings: What it asks of the kernel, see `SessionGuard.spawn`; only with that.
         group: The control group that it enters by one of the settings: it is killed and removed
             with what is left in it.
@@ -350,7 +347,6 @@ async def spawn(
                     env,
                     {**dict(enumerate(standard)), **descriptors},
                     leaves_by_itself=leaves_by_itself,
-                    zygote=zygote,
                     cwd=cwd,
                     settings=settings,
                 )

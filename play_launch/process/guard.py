@@ -29,15 +29,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.process.identity import ProcessStat
-    from play_launch.process.zygote import Zygote
 
 _SPAWN: Final = 1
 _STATUS: Final = 2
 _REAP: Final = 3
-_HELPER: Final = 4
-_FAREWELL: Final = 5
-_GROUP: Final = 6
-_FORGET: Final = 7
+_FAREWELL: Final = 4
+_GROUP: Final = 5
+_FORGET: Final = 6
 _ANSWER: Final = struct.Struct("=3i")
 _AT_ONCE: Final = 16
 """Requests that are sent before the first is answered: the kernel bounds what is in a socket."""
@@ -107,7 +105,6 @@ class SessionGuard:
         self._process = process
         self._answer_limit = answer_limit
         self._is_lost = False
-        self._helpers = 0
         self._started: set[int] = set()
         self._questions: deque[_Question] = deque()
         self._sent = 0
@@ -176,7 +173,6 @@ class SessionGuard:
         descriptors: Mapping[int, int],
         *,
         leaves_by_itself: bool,
-        zygote: Zygote | None = None,
         cwd: Path | None = None,
         settings: Sequence[str] = (),
     ) -> int:
@@ -187,9 +183,7 @@ class SessionGuard:
             env: The whole environment; its PATH is searched.
             descriptors: What it gets, by the number it has there; 0, 1 and 2 among them.
             leaves_by_itself: Whether it exits within 0.7 s when the supervisor has exited.
-            zygote: Is forked for it; if that fails, the command is executed, and the zygote
-                is lost.
-            cwd: Its working directory, ours by default; not with a zygote.
+            cwd: Its working directory, ours by default.
             settings: What it asks of the kernel for itself, see `config.resources`; what
                 is refused is left out.
 
@@ -197,41 +191,21 @@ class SessionGuard:
             OSError: When it cannot be started.
             ValueError: When a NUL is in what it should get.
         """
-        head = (_SPAWN, leaves_by_itself, 0 if zygote is None else zygote.number, len(descriptors))
-        request = struct.pack(f"={4 + len(descriptors)}i", *head, *descriptors)
+        head = (_SPAWN, leaves_by_itself, len(descriptors))
+        request = struct.pack(f"={3 + len(descriptors)}i", *head, *descriptors)
         with _file(_command(argv, env, cwd, settings)) as command, ExitStack() as opened:
             word, go_ahead = os.pipe()
             for end in (word, go_ahead):
                 opened.callback(os.close, end)
             os.set_blocking(go_ahead, False)
-            helper = []
-            if zygote is not None:  # which may be closed before it is sent
-                helper.append(os.dup(zygote.fileno()))
-                opened.callback(os.close, *helper)
-            files = (command.fileno(), word, *helper, *descriptors.values())
-            pid, obstacle, _ = await self._ask(request, files)
+            files = (command.fileno(), word, *descriptors.values())
+            pid, _, _ = await self._ask(request, files)
             # What is started without it ends: another start may have taken its place.
             os.write(go_ahead, b"\0")
-        if zygote is not None and obstacle:
-            zygote.lose(os.strerror(obstacle))
         if pid < 0:
             raise OSError(-pid, os.strerror(-pid))
         self._started.add(pid)
         return pid
-
-    def spawn_helper(
-        self, argv: Sequence[str], env: Mapping[str, str], descriptors: Mapping[int, int]
-    ) -> int:
-        """Start a command of which nothing is heard, without waiting; returns its number.
-
-        Raises:
-            OSError: When it cannot be asked for.
-        """
-        request = struct.pack(f"={2 + len(descriptors)}i", _HELPER, len(descriptors), *descriptors)
-        with _file(_command(argv, env)) as command:
-            self._send(request, (command.fileno(), *descriptors.values()))
-        self._helpers += 1
-        return self._helpers
 
     def entrust(self, group: Path) -> None:
         """Have it remove a control group, with all that is in it, should we die.
@@ -260,7 +234,7 @@ class SessionGuard:
             self._started.discard(pid)
 
     def has_inherited(self, process: ProcessStat) -> bool:
-        """See `Parent`; helpers count as inherited as well.
+        """See `Parent`.
 
         When the guard was killed, what it had inherited went to init or a subreaper above us.
         """
@@ -421,7 +395,7 @@ def _command(
     cwd: Path | None = None,
     settings: Sequence[str] = (),
 ) -> bytes:
-    """Write a command as ``container_native/src/base/command_file.hpp`` reads it."""
+    """Write a command as ``container_native/src/spawn_guard/command_file.hpp`` reads it."""
     variables = [f"{name}={value}" for name, value in env.items()]
     folders = () if cwd is None else (os.fspath(cwd),)
     texts = [os.fsencode(text) for text in (*argv, *variables, *folders, *settings)]

@@ -40,7 +40,6 @@ from play_launch.process.stop import StopPolicy, stop
 from play_launch.recording.facts import OURSELVES, package_version
 from play_launch.ros.fastdds.shared_memory import sweep_shared_memory
 from play_launch.ros.fastdds.sweep_command import sweep_command
-from play_launch.runtime import prestart as head_start
 from play_launch.runtime.commands import (
     Machine,
     ParameterFiles,
@@ -49,7 +48,6 @@ from play_launch.runtime.commands import (
     container_command,
     container_environment,
     has_stock_containers,
-    is_own,
     participants,
     probe_command,
     process_command,
@@ -59,7 +57,7 @@ from play_launch.runtime.groups import Groups
 from play_launch.runtime.probes import component_library
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
     from pathlib import Path
 
     from play_launch.config.model import (
@@ -73,7 +71,6 @@ if TYPE_CHECKING:
     from play_launch.process.child import Child
     from play_launch.process.exit import Exit
     from play_launch.process.lines import OutputCallback
-    from play_launch.process.zygote import Zygote
     from play_launch.runtime.commands import Command
     from play_launch.runtime.stock_containers import StockContainers
     from play_launch.supervisor.events import GroupSample
@@ -159,7 +156,6 @@ class NativeLauncher:
         parameters: ParameterFiles,
         stock: StockContainers | None = None,
         uses_fastdds: bool = True,
-        containers: Iterable[str] = (),
         publish: Callable[[GroupSample], None] = lambda _: None,
     ) -> None:
         """Take the facts about this machine, see `of`."""
@@ -167,10 +163,7 @@ class NativeLauncher:
         self._uses_fastdds = uses_fastdds
         self._machine = machine
         self._guard_program = guard
-        begun = head_start.take()
-        self._guards = [begun.guard] if begun.guard is not None else []
-        self._zygotes = begun.zygotes
-        self._not_started = set(containers)
+        self._guards: list[SessionGuard] = []
         self._policy = policy
         self._parameters = parameters
         self._sweeps = Shared(self._sweep)
@@ -206,7 +199,6 @@ class NativeLauncher:
             parameters=ParameterFiles((*config.containers, *config.nodes)),
             stock=_stock_containers(config),
             uses_fastdds=is_fastdds,
-            containers=(each.full_name for each in config.containers if is_own(each)),
             publish=publish,
         )
         launcher.groups.begin(config)
@@ -270,23 +262,7 @@ class NativeLauncher:
             )
             pair.close_child_end()
             opened.pop_all()
-        self._started(config)
         return process, ControlChannel(pair.ours, container=config.full_name)
-
-    def _started(self, config: ContainerConfig) -> None:
-        self._not_started.discard(config.full_name)
-        if not self._not_started:
-            # One that is started again is executed: its memory is laid out anew.
-            self._end_zygotes()
-
-    def _zygote(self, command: Command) -> Zygote | None:
-        program, environment = command.argv[0], command.environment
-        able = (each for each in self._zygotes if each.can_become(program, environment))
-        return next(able, None)
-
-    def _end_zygotes(self) -> None:
-        for zygote in self._zygotes:
-            zygote.close()
 
     async def library_of(self, container: ContainerConfig, node: ComposableNodeConfig) -> str:
         """Find the library in the ament index that the container uses; empty: it has none."""
@@ -331,7 +307,6 @@ class NativeLauncher:
     async def close(self) -> None:
         """Remove our own files."""
         await asyncio.to_thread(self._parameters.remove)
-        self._end_zygotes()
         for guard in self._guards:
             await guard.end()
         await asyncio.to_thread(self.groups.end)
@@ -350,16 +325,9 @@ class NativeLauncher:
         name: str = "",
         control_fd: int | None = None,
     ) -> NativeProcess:
-        # How large a stack is, is laid down when a program is executed. What is forked has our cwd.
-        may_fork = (
-            control_fd is not None
-            and command.cwd is None
-            and "stack" not in command.resources.limit_names
-        )
         try:
             # One that is lost is kept: what it has started would end with it.
             if not (self._guards and self._guards[-1].is_alive):
-                self._end_zygotes()
                 guard = SessionGuard.start(self._guard_program, afterwards=sweep_command())
                 self._guards.append(guard)
             self.groups.entrust(self._guards[-1])
@@ -373,7 +341,6 @@ class NativeLauncher:
                 on_output=on_output,
                 # Our containers end in order when their control channel does.
                 leaves_by_itself=control_fd is not None,
-                zygote=self._zygote(command) if may_fork else None,
                 settings=(*entry, *command.resources.settings()),
                 group=group,
                 mark=name and mark_for(os.getpid(), name),

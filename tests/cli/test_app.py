@@ -32,12 +32,6 @@ USED_BY = dict.fromkeys((*_READERS, "layout"), ("play_launch.cli.info",))
 BAD = "version: 1\ncontainers:\n  - nmae: c\n"
 
 
-@pytest.fixture(autouse=True)
-def no_zygotes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They would stay with this process, in which commands run here."""
-    monkeypatch.setenv("PLAY_LAUNCH_ZYGOTE", "0")
-
-
 @pytest.fixture
 def good(tmp_path: Path) -> Path:
     path = tmp_path / "good.yaml"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -73,10 +72,9 @@ def belongs_to(module: str, package: str) -> bool:
     return module == package or module.startswith(f"{package}.")
 
 
-def imported_before_the_first_process(config: Path, tmp_path: Path, zygote: str) -> set[str]:
+def imported_before_the_first_process(config: Path, tmp_path: Path) -> set[str]:
     result = subprocess.run(
         [sys.executable, "-c", PROGRAM, "replay", str(config), "--log-dir", str(tmp_path), "-q"],
-        env={**os.environ, "PLAY_LAUNCH_ZYGOTE": zygote},
         check=True,
         capture_output=True,
         text=True,
@@ -84,24 +82,8 @@ def imported_before_the_first_process(config: Path, tmp_path: Path, zygote: str)
     return set(json.loads(result.stderr))
 
 
-def test_zygotes_are_started_before_what_takes_its_time(config: Path, tmp_path: Path) -> None:
-    imported = imported_before_the_first_process(config, tmp_path, "1")
-    assert "play_launch.process.guard" in imported
-    slow = {
-        "anyio",
-        "asyncio",
-        "mcap",
-        "msgspec",
-        "play_launch.config.model",
-        "play_launch.config.source",
-        "pydantic_core",
-        "yaml",
-    } | LATER
-    assert not {module for module in imported for late in slow if belongs_to(module, late)}
-
-
 def test_only_what_the_start_needs_is_imported_before_it(config: Path, tmp_path: Path) -> None:
-    imported = imported_before_the_first_process(config, tmp_path, "0")
+    imported = imported_before_the_first_process(config, tmp_path)
     assert "play_launch.process.guard" in imported
     early = {module for module in imported for late in LATER if belongs_to(module, late)}
     assert early == set()

@@ -258,7 +258,7 @@ def test_what_replay_starts_for_itself_is_named(
 
     later = ["play_launch.postmortem.archive", "play_launch.ros.fastdds"]
     assert named(path) == ["spawn_guard", *later]
-    assert named(config) == ["spawn_guard", "component_container --zygote", "spawn_guard", *later]
+    assert named(config) == ["spawn_guard", "spawn_guard", *later]
     path.write_text(json.dumps({**system, "graph_daemon": True}), encoding="utf-8")
     assert named(path) == ["spawn_guard", "play_launch.graph_daemon", *later]
 

@@ -2,7 +2,6 @@
 #include <cstdlib>
 #include <exception>
 #include <string>
-#include <string_view>
 
 #include "base/core_limit.hpp"
 #include "base/failpoints.hpp"
@@ -16,7 +15,6 @@
 #include "main/installation.hpp"
 #include "main/options.hpp"
 #include "main/probe.hpp"
-#include "main/zygote.hpp"
 
 namespace {
 
@@ -88,20 +86,6 @@ int run(int argc, char** argv) {
   }
 }
 
-/// The number behind "--zygote"; 0 when this is another command line.
-int zygote_socket(int argc, char** argv) {
-  const bool is_zygote = argc == 3 && std::string_view(argv[1]) == "--zygote";
-  return is_zygote ? std::atoi(argv[2]) : 0;
-}
-
 }  // namespace
 
-int main(int argc, char** argv) {
-  const int socket = zygote_socket(argc, argv);
-  if (socket == 0) {
-    return run(argc, argv);
-  }
-  // Here as long as the process, like what exec puts on the stack.
-  Command& command = *new Command(serve_as_zygote(socket));
-  return run(static_cast<int>(command.argv.size()) - 1, command.argv.data());
-}
+int main(int argc, char** argv) { return run(argc, argv); }

@@ -15,9 +15,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <string_view>
-#include <vector>
 
 #include "base/elf.hpp"
 #include "base/next_function.hpp"
@@ -183,7 +181,6 @@ namespace {
 /// How the functions that give out the type support of one type begin.
 constexpr std::string_view kMessageOf =
     "_ZN22rosidl_typesupport_cpp31get_message_type_support_handleI";
-constexpr std::string_view kMessageOfC = "rosidl_typesupport_c__get_message_type_support_handle__";
 constexpr std::string_view kServiceOf =
     "_ZN22rosidl_typesupport_cpp31get_service_type_support_handleI";
 
@@ -212,43 +209,12 @@ void look_up_for_cpp(const link_map& map, void* library) {
   });
 }
 
-void look_up_for_c(const link_map& map, void* library, const char* identifier) {
-  DynamicSymbols(map).for_each_undefined([&](const char* name) {
-    if (std::string_view(name).starts_with(kMessageOfC)) {
-      if (const Message* const type = type_support<Message>(library, name)) {
-        rosidl_typesupport_c__get_message_typesupport_handle_function(type, identifier);
-      }
-    }
-  });
-}
-
 }  // namespace
 
 void look_up_type_supports(void* library) {
   const link_map* map = nullptr;
   if (::dlinfo(library, RTLD_DI_LINKMAP, &map) == 0) {
     look_up_for_cpp(*map, library);
-  }
-}
-
-void look_up_type_supports_of_program(const char* cpp, const char* c) {
-  void* const program = ::dlopen(nullptr, RTLD_LAZY);
-  const link_map* first = nullptr;
-  if (program == nullptr || ::dlinfo(program, RTLD_DI_LINKMAP, &first) != 0) {
-    return;
-  }
-  identifiers.add(cpp);
-  // Those that are opened here come behind the others.
-  std::vector<const link_map*> libraries;
-  for (const link_map* map = first; map != nullptr; map = map->l_next) {
-    // The kernel's own library has no path, and its tables are not where it says.
-    if (map == first || std::strchr(map->l_name, '/') != nullptr) {
-      libraries.push_back(map);
-    }
-  }
-  for (const link_map* const map : libraries) {
-    look_up_for_cpp(*map, program);
-    look_up_for_c(*map, program, c);
   }
 }
 

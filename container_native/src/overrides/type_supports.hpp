@@ -7,9 +7,4 @@ namespace play_launch::isolation {
 /// loader's lock. Takes that lock itself, and opens the libraries of type supports.
 void look_up_type_supports(void* library);
 
-/// Likewise for the program and all libraries that are there now, before the middleware has asked
-/// for anything: for types of C++ it is going to ask for `cpp`, for messages of C for `c`, both
-/// constants.
-void look_up_type_supports_of_program(const char* cpp, const char* c);
-
 }  // namespace play_launch::isolation

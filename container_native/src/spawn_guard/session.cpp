@@ -16,16 +16,14 @@
 #include <cstdint>
 #include <set>
 #include <span>
-#include <vector>
 
-#include "base/command_file.hpp"
-#include "base/descriptor_message.hpp"
+#include "spawn_guard/command_file.hpp"
+#include "spawn_guard/descriptor_message.hpp"
 #include "base/orphan_grace.hpp"
 #include "base/unique_fd.hpp"
 #include "spawn_guard/command.hpp"
 #include "spawn_guard/control_group.hpp"
 #include "spawn_guard/descendants.hpp"
-#include "spawn_guard/zygote_line.hpp"
 
 namespace play_launch::guard {
 
@@ -37,34 +35,22 @@ using std::chrono::steady_clock;
 constexpr milliseconds kRound{5};
 /// Each goes through all of /proc, and what does not die of SIGKILL may take any time.
 constexpr milliseconds kLongestRound{50};
-/// Forks of a zygote begin together, when the supervisor has asked for no further one for so long:
-/// those that run would take the processors from those that are being made.
-constexpr milliseconds kPause{10};
-/// But none waits longer for others than this.
-constexpr milliseconds kLongestHold{100};
-
 enum Request : std::int32_t {
   kSpawn = 1,
   kStatus = 2,
   kReap = 3,
-  kHelper = 4,
-  kFarewell = 5,
-  kGroup = 6,
-  kForget = 7
+  kFarewell = 4,
+  kGroup = 5,
+  kForget = 6
 };
 
 using Answer = std::array<std::int32_t, 3>;
 using Message = DescriptorMessage;
 
 /// What stands before the numbers of the descriptors.
-constexpr std::size_t kSpawnHead = 4;
-constexpr std::size_t kHelperHead = 2;
-
-/// A fork of a zygote that does not run yet, and the condition for it.
-struct Held {
-  Fork fork;
-  UniqueFd go_ahead;
-};
+constexpr std::size_t kSpawnHead = 3;
+/// What stands before the descriptors: the command, and the pipe of the go-ahead.
+constexpr std::size_t kSpawnFiles = 2;
 
 /// A copy above all numbers that a command wants, closed by exec.
 UniqueFd out_of_the_way(const UniqueFd& fd, std::span<const std::int32_t> wanted) {
@@ -73,10 +59,10 @@ UniqueFd out_of_the_way(const UniqueFd& fd, std::span<const std::int32_t> wanted
 }
 
 /// Waits for one byte; false at the end of the pipe.
-bool wait_for_word(const UniqueFd& pipe) {
-  char word = 0;
+bool wait_for_byte(const UniqueFd& pipe) {
+  char byte = 0;
   ssize_t size = 0;
-  while ((size = ::read(pipe.get(), &word, 1)) < 0 && errno == EINTR) {
+  while ((size = ::read(pipe.get(), &byte, 1)) < 0 && errno == EINTR) {
   }
   return size == 1;
 }
@@ -99,11 +85,8 @@ class Session {
     while (true) {
       std::array<pollfd, 2> sources{pollfd{socket_.get(), POLLIN, 0},
                                     pollfd{ended.get(), POLLIN, 0}};
-      if (::poll(sources.data(), sources.size(), until_due()) < 0 && errno != EINTR) {
+      if (::poll(sources.data(), sources.size(), -1) < 0 && errno != EINTR) {
         break;
-      }
-      if (!held_.empty() && steady_clock::now() >= due_) {
-        begin_held();
       }
       if (sources[1].revents != 0) {
         signalfd_siginfo ignored;
@@ -114,11 +97,6 @@ class Session {
       if (sources[0].revents != 0) {
         if (!message.receive(socket_.get())) {
           break;
-        }
-        if (message.numbers.size() > kHelperHead && message.numbers[0] == kHelper) {
-          start_helper(message);
-          message = {};
-          continue;
         }
         if (message.numbers.size() == 1 && message.numbers[0] == kGroup &&
             message.descriptors.size() == 1) {
@@ -170,88 +148,25 @@ class Session {
 
   Answer spawn(Message& message) {
     const std::span numbers(message.numbers);
-    const auto helper = static_cast<std::size_t>(numbers[2]);
-    const std::size_t known = helper == 0 ? 2 : 3;
     const std::span wanted = numbers.subspan(kSpawnHead);
     Command command;
-    if (wanted.size() < 3 || wanted.size() != static_cast<std::size_t>(numbers[3]) ||
-        message.descriptors.size() != known + wanted.size() ||
+    if (wanted.size() < 3 || wanted.size() != static_cast<std::size_t>(numbers[2]) ||
+        message.descriptors.size() != kSpawnFiles + wanted.size() ||
         !command.read(message.descriptors.front().get())) {
       return {-EINVAL, 0, 0};
     }
-    UniqueFd& go_ahead = message.descriptors[1];
-    const std::span descriptors = std::span(message.descriptors).subspan(known);
-    pid_t pid = 0;
-    int obstacle = 0;
-    if (helper != 0) {
-      Fork fork = fork_of_zygote(message.descriptors[2].get(), message.descriptors.front(),
-                                 descriptors, wanted);
-      pid = fork.pid;
-      obstacle = pid < 0 ? -pid : 0;
-      if (pid > 0) {
-        hold({std::move(fork), std::move(go_ahead)});
-      }
-    }
-    if (obstacle == ETIMEDOUT && helper <= helpers_.size() && helpers_[helper - 1] > 0) {
-      // It would keep open what was sent to it.
-      ::kill(helpers_[helper - 1], SIGKILL);
-    }
-    if (pid <= 0) {
-      pid = start(command, descriptors, wanted, &go_ahead);
-    }
+    const pid_t pid = start(command, std::span(message.descriptors).subspan(kSpawnFiles), wanted,
+                            message.descriptors[1]);
     if (pid > 0) {
       (numbers[1] != 0 ? leaving_ : started_).insert(pid);
     }
-    return {pid, obstacle, 0};
+    return {pid, 0, 0};
   }
 
-  void hold(Held held) {
-    const auto now = steady_clock::now();
-    if (held_.empty()) {
-      held_since_ = now;
-    }
-    held_.push_back(std::move(held));
-    due_ = std::min(now + kPause, held_since_ + kLongestHold);
-  }
-
-  /// One that the supervisor has given up ends when its line closes.
-  void begin_held() {
-    std::erase_if(held_, [](const Held& each) {
-      pollfd word{each.go_ahead.get(), POLLIN, 0};
-      if (::poll(&word, 1, 0) <= 0) {
-        return false;
-      }
-      if ((word.revents & POLLIN) != 0) {
-        let_begin(each.fork);
-      }
-      return true;
-    });
-    due_ = steady_clock::now() + kPause;
-  }
-
-  /// For poll(2): milliseconds, or -1 where nothing is held.
-  int until_due() const {
-    if (held_.empty()) {
-      return -1;
-    }
-    const auto left = std::chrono::ceil<milliseconds>(due_ - steady_clock::now());
-    return static_cast<int>(std::max(left, milliseconds{0}).count());
-  }
-
-  void start_helper(const Message& message) {
-    const std::span wanted = std::span(message.numbers).subspan(kHelperHead);
-    const std::span descriptors(message.descriptors);
-    Command command;
-    const bool fits = wanted.size() == static_cast<std::size_t>(message.numbers[1]) &&
-                      descriptors.size() == 1 + wanted.size() &&
-                      command.read(descriptors.front().get());
-    helpers_.push_back(fits ? start(command, descriptors.subspan(1), wanted, nullptr) : -EINVAL);
-  }
-
-  /// -errno when it could not be started. Executes nothing before the word of `go_ahead`, if it is
-  /// not null: what the supervisor has given up would be a twin of what it starts instead.
+  /// -errno when it could not be started. Executes nothing before a byte is in `go_ahead`: what the
+  /// supervisor has given up would be a twin of what it starts instead.
   pid_t start(Command& command, std::span<const UniqueFd> descriptors,
-              std::span<const std::int32_t> wanted, const UniqueFd* go_ahead) const {
+              std::span<const std::int32_t> wanted, const UniqueFd& go_ahead) const {
     std::array<int, 2> ends{};
     if (::pipe2(ends.data(), O_CLOEXEC) != 0) {
       return -errno;
@@ -266,12 +181,12 @@ class Session {
       environ = command.environment.data();
       ::setsid();
       const UniqueFd is_set_up = out_of_the_way(write_end, wanted);
-      const UniqueFd word = go_ahead ? out_of_the_way(*go_ahead, wanted) : UniqueFd();
+      const UniqueFd go = out_of_the_way(go_ahead, wanted);
       if (!place_descriptors(descriptors, wanted) || !command.apply_settings() ||
           !tie_to(guard_, command.argv[0])) {
         ::_exit(kRefused);
       }
-      if (::write(is_set_up.get(), "", 1) != 1 || (go_ahead && !wait_for_word(word))) {
+      if (::write(is_set_up.get(), "", 1) != 1 || !wait_for_byte(go)) {
         ::_exit(kRefused);
       }
       ::_exit(enter(command.folder.front()) ? become(command.argv.data()) : kCannotRun);
@@ -279,7 +194,7 @@ class Session {
     // Until it leads a session of its own, and can be signalled, or has ended. Not until exec: a
     // program may be on a disk that takes long.
     write_end.reset();
-    wait_for_word(read_end);
+    wait_for_byte(read_end);
     return pid;
   }
 
@@ -303,9 +218,8 @@ class Session {
   /// supervisor has seen their end.
   void reap_orphans() {
     for (const pid_t pid : children()) {
-      if (!started_.contains(pid) && !leaving_.contains(pid) &&
-          ::waitpid(pid, nullptr, WNOHANG) == pid) {
-        std::replace(helpers_.begin(), helpers_.end(), pid, pid_t{0});
+      if (!started_.contains(pid) && !leaving_.contains(pid)) {
+        ::waitpid(pid, nullptr, WNOHANG);
       }
     }
   }
@@ -337,10 +251,6 @@ class Session {
   UniqueFd group_;  // the folder of the session's control group, if it has one
   std::set<pid_t> started_;
   std::set<pid_t> leaving_;
-  std::vector<Held> held_;
-  steady_clock::time_point held_since_;
-  steady_clock::time_point due_;
-  std::vector<pid_t> helpers_;  // 0 or less: it does not run
 };
 
 }  // namespace

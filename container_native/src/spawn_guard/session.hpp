@@ -12,22 +12,18 @@ namespace play_launch::guard {
 ///
 /// The socket is a SOCK_SEQPACKET; each request has one answer, in the order of the requests, both
 /// native-endian 32-bit integers:
-///   spawn   {1, exits with the supervisor, number of a zygote or 0, number n of descriptors, their
-///   numbers
-///           in the child}, with the descriptors: a file with the command (see Command), the end of
-///           a pipe, the socket of the zygote if there is one, then those n.
-///           -> {pid, or -errno; why the zygote did not do it: errno, or 0}
+///   spawn   {1, exits with the supervisor, number n of descriptors, their numbers in the child},
+///           with the descriptors: a file with the command (see Command), the end of a pipe, then
+///           those n.
+///           -> {pid, or -errno; 0; 0}
 ///           Nothing is executed before a byte is in the pipe: the supervisor has the answer then.
-///           When the pipe ends without one, the process ends. A fork of a zygote begins later,
-///           when no further one was asked for for 10 ms.
+///           When the pipe ends without one, the process ends.
 ///   status  {2, pid} -> {1: ended, 0: runs, or -errno; code, status as in siginfo_t}
 ///   reap    {3, pid} -> the same, and the zombie is gone
-///   helper  {4, n, their numbers in the child}, with the command and the descriptors: starts a
-///           process that is not asked about again. The first is number 1. No answer.
-///   farewell {5}: the end of the socket that follows is not that of the supervisor. No answer.
-///   group   {6}, with a descriptor: the folder of the session's control group. When the supervisor
+///   farewell {4}: the end of the socket that follows is not that of the supervisor. No answer.
+///   group   {5}, with a descriptor: the folder of the session's control group. When the supervisor
 ///           has died, it is removed with those below it and all that is in them. No answer.
-///   forget  {7, pid}: nothing asks any more about a process that was given up. No answer.
+///   forget  {6, pid}: nothing asks any more about a process that was given up. No answer.
 ///
 /// When the supervisor has died, `last_command` is started after all of that, unless it is null:
 /// what it does for the dead is done by no other process until the next start.

@@ -1,4 +1,4 @@
-#include "base/descriptor_message.hpp"
+#include "spawn_guard/descriptor_message.hpp"
 
 #include <sys/socket.h>
 
@@ -38,34 +38,6 @@ bool DescriptorMessage::receive(int socket) {
   const auto count = static_cast<std::size_t>(size) / sizeof(std::int32_t);
   numbers.assign(content.begin(), content.begin() + static_cast<std::ptrdiff_t>(count));
   return true;
-}
-
-bool send_message(int socket, std::span<const std::int32_t> numbers,
-                  std::span<const int> descriptors) {
-  if (descriptors.size() > DescriptorMessage::kMostDescriptors) {
-    errno = EINVAL;
-    return false;
-  }
-  alignas(cmsghdr) std::array<char, CMSG_SPACE(DescriptorMessage::kMostDescriptors * sizeof(int))>
-      control{};
-  iovec part{const_cast<std::int32_t*>(numbers.data()), numbers.size_bytes()};
-  msghdr header{};
-  header.msg_iov = &part;
-  header.msg_iovlen = 1;
-  if (!descriptors.empty()) {
-    header.msg_control = control.data();
-    header.msg_controllen = CMSG_SPACE(descriptors.size_bytes());
-    cmsghdr* const rights = CMSG_FIRSTHDR(&header);
-    rights->cmsg_level = SOL_SOCKET;
-    rights->cmsg_type = SCM_RIGHTS;
-    rights->cmsg_len = CMSG_LEN(descriptors.size_bytes());
-    std::memcpy(CMSG_DATA(rights), descriptors.data(), descriptors.size_bytes());
-  }
-  ssize_t size = 0;
-  do {
-    size = ::sendmsg(socket, &header, MSG_NOSIGNAL | MSG_DONTWAIT);
-  } while (size < 0 && errno == EINTR);
-  return size == static_cast<ssize_t>(numbers.size_bytes());
 }
 
 }  // namespace play_launch

@@ -2,7 +2,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <span>
 #include <vector>
 
 #include "base/unique_fd.hpp"
@@ -20,9 +19,5 @@ struct DescriptorMessage {
   /// False at the end of the socket, and when nothing can be received.
   bool receive(int socket);
 };
-
-/// False when it could not be sent as a whole, with errno set. Does not wait for room.
-bool send_message(int socket, std::span<const std::int32_t> numbers,
-                  std::span<const int> descriptors = {});
 
 }  // namespace play_launch

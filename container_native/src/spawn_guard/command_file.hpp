@@ -27,10 +27,6 @@ struct Command {
   bool apply_settings() const;
 };
 
-/// close_range(2), number by number where that fails: it is of Linux 5.9, CLOSE_RANGE_CLOEXEC of
-/// 5.11, and sandboxes refuse it. False with errno set when nothing lists what is open.
-bool close_descriptors(unsigned first, unsigned last, unsigned flags);
-
 /// Gives the received descriptors the numbers that the command knows; false with errno set. Every
 /// other descriptor from 3 on is closed by the next exec.
 bool place_descriptors(std::span<const UniqueFd> received, std::span<const std::int32_t> wanted);

@@ -1,4 +1,4 @@
-#include "base/command_file.hpp"
+#include "spawn_guard/command_file.hpp"
 
 #include <fcntl.h>
 #include <linux/close_range.h>
@@ -23,6 +23,20 @@ std::string read_all(int file) {
     text.append(piece.data(), static_cast<std::size_t>(size));
   }
   return text;
+}
+
+/// close_range(2), number by number where that fails: CLOSE_RANGE_CLOEXEC is of Linux 5.11, and
+/// sandboxes refuse it. False with errno set when nothing lists what is open.
+bool close_at_exec(unsigned first) {
+  if (::close_range(first, ~0U, CLOSE_RANGE_CLOEXEC) == 0) {
+    return true;
+  }
+  NumberList open("/proc/self/fd");
+  return open.for_each([first](int each) {
+    if (static_cast<unsigned>(each) >= first) {
+      ::fcntl(each, F_SETFD, FD_CLOEXEC);
+    }
+  });
 }
 
 }  // namespace
@@ -64,24 +78,6 @@ bool Command::apply_settings() const {
   return true;
 }
 
-bool close_descriptors(unsigned first, unsigned last, unsigned flags) {
-  if (::close_range(first, last, static_cast<int>(flags)) == 0) {
-    return true;
-  }
-  NumberList open("/proc/self/fd");
-  return open.for_each([&](int each) {
-    const auto number = static_cast<unsigned>(each);
-    if (number < first || number > last || each == open.descriptor()) {
-      return;
-    }
-    if ((flags & CLOSE_RANGE_CLOEXEC) != 0) {
-      ::fcntl(each, F_SETFD, FD_CLOEXEC);
-    } else {
-      ::close(each);
-    }
-  });
-}
-
 bool place_descriptors(std::span<const UniqueFd> received, std::span<const std::int32_t> wanted) {
   // Out of the way first: a number that is wanted may be one that was received.
   const int above = std::max(2, *std::max_element(wanted.begin(), wanted.end())) + 1;
@@ -92,7 +88,7 @@ bool place_descriptors(std::span<const UniqueFd> received, std::span<const std::
       return false;
     }
   }
-  if (!close_descriptors(3, ~0U, CLOSE_RANGE_CLOEXEC)) {
+  if (!close_at_exec(3)) {
     return false;
   }
   for (std::size_t index = 0; index < wanted.size(); ++index) {
