@@ -9,12 +9,26 @@ import os
 import struct
 import time
 import zlib
-from typing import IO, TYPE_CHECKING, Any, Final, cast
+from collections import defaultdict
+from typing import TYPE_CHECKING, Final
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex, Statistics
-from mcap.writer import Writer
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
 from zstandard import ZstdCompressor
 
 from play_launch.container.cdr.layout import text_bytes
@@ -34,6 +48,17 @@ CHUNK_SIZE: Final = 960 * 1024
 _CHUNK: Final = struct.Struct("<BQQQQII4sQ")
 """Kind, length, first and last log time, size, checksum, a name and its length, compressed size."""
 _ZSTD: Final = b"zstd"
+_SUMMARY: Final = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+)
+"""Kinds of records in the summary, in their order."""
+_CHECKSUM: Final = 4
+"""Bytes of a checksum, at the end of a footer."""
 _ROOM: Final = 16 * 1024 * 1024
 """Bytes that have to be free before a file is tried again: with less it would soon fail again."""
 _SHARE: Final = 20
@@ -47,9 +72,10 @@ class McapFile:
     file ends after the commit before, and a later one continues. While it is open the file is
     locked (``flock``), by which readers know that it is written. Methods may raise ``OSError``.
 
-    The package ``mcap`` writes everything but chunks. These are packed here: three times as fast,
-    and those of `topic_recorder` are finished already. Schemas and channels stand outside of
-    chunks, so that a broken chunk loses its own messages only.
+    The package ``mcap`` encodes all records but chunks, which are packed here: three times as fast,
+    and those of `topic_recorder` are finished already. Its writer has no way in for such a chunk,
+    and its import costs the start 40 ms. Schemas and channels stand outside of chunks, so that a
+    broken chunk loses its own messages only.
     """
 
     def __init__(self, path: Path, *, library: str = "play_launch") -> None:
@@ -79,12 +105,19 @@ class McapFile:
         self._compressor = ZstdCompressor(level=3)
         self._has_name = False
         """Whether the name is durable; a file that is synced may be without one."""
-        self._writer = Writer(cast("IO[bytes]", self), use_chunking=False)
-        # Private, as the package has no way in for a chunk that it has not made.
-        state = vars(self._writer)
-        self._statistics: Statistics = state["_Writer__statistics"]
-        self._chunk_indexes: list[_EncodedIndex] = state["_Writer__chunk_indices"]
-        self._writer.start("ros2", library)
+        self._statistics = Statistics(
+            attachment_count=0,
+            channel_count=0,
+            channel_message_counts=defaultdict(int),
+            chunk_count=0,
+            message_count=0,
+            message_end_time=0,
+            message_start_time=0,
+            metadata_count=0,
+            schema_count=0,
+        )
+        self._summary: dict[Opcode, list[bytes]] = {kind: [] for kind in _SUMMARY}
+        self._hold(MAGIC + _encoded(Header("ros2", library)))
 
     @property
     def counts(self) -> Mapping[int, int]:
@@ -96,33 +129,61 @@ class McapFile:
         """Those of the earliest and the latest message; 0 without any."""
         return self._statistics.message_start_time, self._statistics.message_end_time
 
-    def write(self, data: bytes) -> None:
-        """Hold data back for the next commit; the package `mcap` writes here, too."""
+    def _hold(self, data: bytes) -> None:
         self._held.append(data)
         self.size += len(data)
-
-    def tell(self) -> int:
-        return self.size
-
-    def flush(self) -> None:
-        """Do nothing: the package calls this, and `commit` is what writes."""
 
     def register(self, topic: Topic, definition: str) -> int:
         """Describe a topic; return its channel. Channels are numbered from 1 on."""
         schema = self._schemas.get(topic.type_name)
+        known = self._statistics
         if schema is None:
-            data = definition.encode()
-            schema = self._writer.register_schema(topic.type_name, "ros2msg", data)
-            self._schemas[topic.type_name] = schema
-        channel = self._writer.register_channel(topic.name, "cdr", schema, topic.metadata)
-        self._writer.flush()  # type: ignore[no-untyped-call]
-        return channel
+            known.schema_count += 1
+            schema = self._schemas[topic.type_name] = known.schema_count
+            self._describe(
+                Opcode.SCHEMA,
+                Schema(
+                    id=schema, data=definition.encode(), encoding="ros2msg", name=topic.type_name
+                ),
+            )
+        known.channel_count += 1
+        channel = Channel(
+            id=known.channel_count,
+            topic=topic.name,
+            message_encoding="cdr",
+            metadata=dict(topic.metadata),
+            schema_id=schema,
+        )
+        self._describe(Opcode.CHANNEL, channel)
+        return channel.id
+
+    def _describe(self, kind: Opcode, record: McapRecord) -> None:
+        data = _encoded(record)
+        self._hold(data)
+        self._summary[kind].append(data)
 
     def attach(self, name: str, media_type: str, data: bytes, *, time: int) -> None:
-        self._writer.add_attachment(time, time, _text(name), media_type, data)
+        name, start = _text(name), self.size
+        self._hold(_encoded(Attachment(time, time, name, media_type, data)))
+        index = AttachmentIndex(
+            offset=start,
+            length=self.size - start,
+            log_time=time,
+            create_time=time,
+            data_size=len(data),
+            name=name,
+            media_type=media_type,
+        )
+        self._summary[Opcode.ATTACHMENT_INDEX].append(_encoded(index))
+        self._statistics.attachment_count += 1
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        self._writer.add_metadata(name, {key: _text(value) for key, value in values.items()})
+        start = self.size
+        texts = {key: _text(value) for key, value in values.items()}
+        self._hold(_encoded(Metadata(name, texts)))
+        index = MetadataIndex(start, self.size - start, name)
+        self._summary[Opcode.METADATA_INDEX].append(_encoded(index))
+        self._statistics.metadata_count += 1
 
     def add(
         self,
@@ -214,7 +275,21 @@ class McapFile:
     def finish(self) -> None:
         """Write the rest and the summary; :meth:`complete` is to follow."""
         self.commit()
-        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._hold(_encoded(DataEnd(0)))
+        self._summary[Opcode.STATISTICS] = [_encoded(self._statistics)]
+        start = at = self.size
+        offsets = b""
+        for kind in _SUMMARY:
+            records = self._summary[kind]
+            length = sum(map(len, records))
+            if length:
+                offsets += _encoded(SummaryOffset(kind, at, length))
+            at += length
+        summary = b"".join([*(each for kind in _SUMMARY for each in self._summary[kind]), offsets])
+        # The checksum of the summary counts the footer up to itself.
+        footer = _encoded(Footer(start, at, 0))[:-_CHECKSUM]
+        checksum = zlib.crc32(footer, zlib.crc32(summary))
+        self._hold(summary + _encoded(Footer(start, at, checksum)) + MAGIC)
         self.commit()
 
     def has_room(self) -> bool:
@@ -315,9 +390,8 @@ class McapFile:
         known.message_count += sum(counts.values())
         for channel, count in counts.items():
             known.channel_message_counts[channel] += count
-        builder = RecordBuilder()
-        index.write(builder)
-        self._chunk_indexes.append(_EncodedIndex(builder.end()))  # type: ignore[no-untyped-call]
+        # Encoded, it takes a tenth of the memory.
+        self._summary[Opcode.CHUNK_INDEX].append(_encoded(index))
 
     def _cut(self) -> None:
         if self._descriptor >= 0:
@@ -332,13 +406,11 @@ class McapFile:
         self._close()
 
 
-class _EncodedIndex(bytes):
-    """Index of a chunk as the summary has it: a tenth of the memory of a `ChunkIndex`."""
-
-    __slots__ = ()
-
-    def write(self, builder: Any) -> None:
-        builder.write(self)
+def _encoded(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
 
 
 def sync_folder(folder: Path) -> None:

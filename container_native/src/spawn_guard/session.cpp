@@ -17,13 +17,13 @@
 #include <set>
 #include <span>
 
-#include "spawn_guard/command_file.hpp"
-#include "spawn_guard/descriptor_message.hpp"
 #include "base/orphan_grace.hpp"
 #include "base/unique_fd.hpp"
 #include "spawn_guard/command.hpp"
+#include "spawn_guard/command_file.hpp"
 #include "spawn_guard/control_group.hpp"
 #include "spawn_guard/descendants.hpp"
+#include "spawn_guard/descriptor_message.hpp"
 
 namespace play_launch::guard {
 
