@@ -65,6 +65,11 @@ class StartError(Exception):
         self.permanent = permanent
 
 
+def is_own(container: ContainerConfig) -> bool:
+    """Whether it runs our own program."""
+    return not container.attach and container.container_type is not ContainerType.STOCK
+
+
 def shares_memory(container: ContainerConfig) -> bool:
     """Whether its nodes are processes in its own memory."""
     return container.container_type.is_isolated and container.isolation is not Isolation.PROCESS

@@ -1,10 +1,19 @@
 from __future__ import annotations
 
 import json
+import sys
+from importlib import metadata
+from pathlib import Path
 
 import pytest
 
-from play_launch.recording.facts import REDACTED, host_facts, redacted_environment, versions
+from play_launch.recording.facts import (
+    REDACTED,
+    host_facts,
+    package_version,
+    redacted_environment,
+    versions,
+)
 
 
 def test_values_that_may_be_secret_are_not_recorded() -> None:
@@ -88,3 +97,20 @@ def test_the_machine_is_described() -> None:
     assert int(facts["memory"]) > 0
     assert "python" in versions()
     assert "mcap" in versions()
+
+
+def test_versions_are_those_of_the_packages_descriptions() -> None:
+    for name, version in versions().items():
+        if name != "python":
+            assert version == metadata.version(name)
+
+
+def test_versions_are_found_where_ros_was_built_from_source(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("Some.Thing-1.2rc1.dist-info", "rclpy-7.1.6-py3.12.egg-info", "odd-name-3.egg"):
+        (tmp_path / "first" / name).mkdir(parents=True)
+    (tmp_path / "second" / "some_thing-9.dist-info").mkdir(parents=True)
+    monkeypatch.setattr(sys, "path", [str(tmp_path / name) for name in ("none", "first", "second")])
+    found = {name: package_version(name) for name in ("rclpy", "some-thing", "odd-name")}
+    assert found == {"rclpy": "7.1.6", "some-thing": "1.2rc1", "odd-name": ""}
