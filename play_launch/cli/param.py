@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from play_launch.control.client import ControlClient
-    from play_launch.ros.node_parameters import NodeParameters
+    from play_launch.ros.node_services import NodeParameters
 
 _TIMEOUT: Final = 5.0
 
@@ -129,8 +129,7 @@ def _asked(client: ControlClient, timeout: float, request: Callable[[NodeParamet
     from play_launch.cli.connection import enter_environment_of  # noqa: PLC0415 - slow
 
     enter_environment_of(client)
-    from play_launch.ros.node_parameters import NodeParameters  # noqa: PLC0415 - slow
-    from play_launch.ros.node_services import NodeServiceError  # noqa: PLC0415
+    from play_launch.ros.node_services import NodeParameters, NodeServiceError  # noqa: PLC0415 - slow
 
     with NodeParameters(timeout) as ros:
         try:

@@ -17,8 +17,8 @@ from play_launch.graph_daemon.contract import IDLE_TIMEOUT, LISTENING, WARM
 from play_launch.graph_daemon.http_server import Server
 from play_launch.graph_daemon.service import GraphService
 from play_launch.graph_daemon.warm_up import addresses, participants_here
+from play_launch.ros.fastdds.middleware import files_here
 from play_launch.ros.fastdds.own_participant import OwnParticipant, decide
-from play_launch.ros.fastdds.profiles import files_here
 
 if TYPE_CHECKING:
     import socket

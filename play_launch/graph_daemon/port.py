@@ -32,7 +32,7 @@ from play_launch.graph_daemon.graph_client import (
     NoDaemonError,
     RemoteError,
 )
-from play_launch.ros.fastdds.profiles import PROFILE_VARIABLES
+from play_launch.ros.fastdds.middleware import PROFILE_VARIABLES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

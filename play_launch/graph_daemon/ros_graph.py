@@ -25,8 +25,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo, TopicEndpointTypeEnum
 
 from play_launch.graph_daemon.contract import GRAPH_METHODS, NODE_PREFIX
 from play_launch.graph_daemon.xml_rpc import register_scalar, register_struct
-from play_launch.ros.fastdds.own_participant import as_our_own
-from play_launch.ros.fastdds.waits import end_participants_safely
+from play_launch.ros.fastdds.own_participant import as_our_own, end_participants_safely
 from play_launch.ros.waiting import Waiting
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from play_launch.process.machine import (
     full_shared_memory,
     shared_memory_room,
 )
-from play_launch.ros.fastdds.profiles import PROFILE_FILES
+from play_launch.ros.fastdds.middleware import PROFILE_FILES
 
 if TYPE_CHECKING:
     import socket

@@ -1,4 +1,5 @@
-"""ROS as a client sees it: rclpy in threads of its own, and what is particular to Fast DDS.
+"""ROS as a client: one pool of rclpy nodes by domain, and everything particular to Fast DDS.
 
-Decides nothing.
+Owns the clients of composition, lifecycle, parameters and the graph. Decides nothing, and knows no
+state of the supervisor.
 """

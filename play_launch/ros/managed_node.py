@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from contextlib import asynccontextmanager, suppress
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 import anyio
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable
+    from collections.abc import Callable
 
     from rclpy.node import Node
 
-    from play_launch.ros.shared_thread import SharedRosThread
     from play_launch.ros.thread import RosThread
 
 
@@ -120,16 +119,3 @@ class ManagedNodeClient:
                 node.destroy_subscription(entity)
             else:
                 node.destroy_client(entity)
-
-
-@asynccontextmanager
-async def managed_node(
-    ros: SharedRosThread, name: str, on_state: Callable[[int], None]
-) -> AsyncIterator[ManagedNodeClient]:
-    """Give a client for the time of the block."""
-    async with ros.used() as thread:
-        client = ManagedNodeClient(thread, name, on_state)
-        try:
-            yield client
-        finally:
-            client.close()

@@ -1,4 +1,4 @@
-"""Calls services of nodes from a command: a node of our own for as long as that takes; blocks."""
+"""Services and parameters of running nodes for a command, over a node of its own; blocks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import os
 import time
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from play_launch.ros.fastdds.own_participant import as_our_own
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+from rclpy.parameter import get_parameter_value, parameter_value_to_python
+
+from play_launch.ros.thread import open_node
+from play_launch.ros.waiting import Waiting
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,32 +28,14 @@ class NodeServices:
     """Speaks ROS in the environment of this process. It belongs to one thread."""
 
     def __init__(self) -> None:
-        """Take part in the graph."""
-        # Takes longer than all the rest of a command.
-        from rclpy.context import Context  # noqa: PLC0415
-        from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
-        from rclpy.node import Node  # noqa: PLC0415
-        from rclpy.utilities import get_rmw_implementation_identifier  # noqa: PLC0415
-
-        self._context = Context()
-        with as_our_own(os.environ, get_rmw_implementation_identifier()):
-            # No log file: a command has nothing to log, and its user may have no home.
-            self._context.init(args=["--ros-args", "--disable-external-lib-logs"])
-            self._node = Node(
-                f"_play_launch_command_{os.getpid()}",
-                context=self._context,
-                use_global_arguments=False,
-                enable_rosout=False,
-                start_parameter_services=False,
-            )
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
+        self._context, self._node, _ = open_node(f"_play_launch_command_{os.getpid()}")
+        self._waiting = Waiting(self._node, lambda: None)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._executor.shutdown()
+        self._waiting.close()
         self._node.destroy_node()  # type: ignore[no-untyped-call]
         self._context.try_shutdown()
 
@@ -88,5 +75,111 @@ class NodeServices:
             left = deadline - time.monotonic()
             if left <= 0:
                 return False
-            self._executor.spin_once(timeout_sec=min(left, _SLICE))
+            self._waiting.wait(min(left, _SLICE))
         return True
+
+
+class NodeParameters(NodeServices):
+    """Parameters of running nodes as plain values; types are kept."""
+
+    def __init__(self, limit: float) -> None:
+        """Give each call so many seconds."""
+        super().__init__()
+        self._limit = limit
+
+    def get(self, node: str, names: list[str]) -> dict[str, Any]:
+        """Read parameters.
+
+        Raises:
+            NodeServiceError: When the node does not answer.
+            ValueError: When it has no such parameter.
+        """
+        values = self._values(node, names)
+        missing = [name for name, value in values.items() if _is_not_set(value)]
+        if missing:
+            raise ValueError(f"{node} has no parameter {', '.join(missing)}")
+        return {name: _plain(value) for name, value in values.items()}
+
+    def dump(self, node: str) -> dict[str, Any]:
+        """Read all parameters of a node, sorted; those without a value are left out.
+
+        Raises:
+            NodeServiceError: When the node does not answer.
+        """
+        request = ListParameters.Request()
+        answer = self.call(node, "list_parameters", ListParameters, request, self._limit)
+        listed = answer.result.names
+        values = self._values(node, sorted(listed))
+        return {name: _plain(value) for name, value in values.items() if not _is_not_set(value)}
+
+    def set(self, node: str, name: str, text: str) -> None:
+        """Set a parameter to what a text means as the type that it has.
+
+        Raises:
+            NodeServiceError: When the node does not answer.
+            ValueError: When the text is of another type, or the node refuses it.
+        """
+        now = self._values(node, [name])[name]
+        value = typed(text, int(now.type))
+        request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
+        answer = self.call(node, "set_parameters", SetParameters, request, self._limit)
+        result = answer.results[0]
+        if not result.successful:
+            raise ValueError(f"{node} refuses {name}: {result.reason or 'without a reason'}")
+
+    def _values(self, node: str, names: list[str]) -> dict[str, Any]:
+        request = GetParameters.Request(names=names)
+        values = self.call(node, "get_parameters", GetParameters, request, self._limit).values
+        # A node answers with nothing at all where one of them is not declared.
+        found = values if len(values) == len(names) else [ParameterValue()] * len(names)
+        return dict(zip(names, found, strict=True))
+
+
+def typed(text: str, kind: int) -> Any:
+    """Read a text as a value of a type, a number of `ParameterType`; NOT_SET: as YAML has it.
+
+    Raises:
+        ValueError: It is not of that type.
+    """
+    if kind == ParameterType.PARAMETER_STRING:
+        return ParameterValue(type=kind, string_value=text)
+    value = get_parameter_value(text)
+    if kind in {ParameterType.PARAMETER_NOT_SET, value.type}:
+        return value
+    if (kind, value.type) == (
+        ParameterType.PARAMETER_DOUBLE,
+        ParameterType.PARAMETER_INTEGER,
+    ):
+        return ParameterValue(type=kind, double_value=float(value.integer_value))
+    if (kind, value.type) == (
+        ParameterType.PARAMETER_DOUBLE_ARRAY,
+        ParameterType.PARAMETER_INTEGER_ARRAY,
+    ):
+        numbers = [float(each) for each in value.integer_array_value]
+        return ParameterValue(type=kind, double_array_value=numbers)
+    raise ValueError(f"{text} is {_NAMES[value.type]}, and the parameter is {_NAMES[kind]}")
+
+
+_NAMES = {
+    ParameterType.PARAMETER_NOT_SET: "nothing",
+    ParameterType.PARAMETER_BOOL: "a bool",
+    ParameterType.PARAMETER_INTEGER: "an integer",
+    ParameterType.PARAMETER_DOUBLE: "a double",
+    ParameterType.PARAMETER_STRING: "a string",
+    ParameterType.PARAMETER_BYTE_ARRAY: "an array of bytes",
+    ParameterType.PARAMETER_BOOL_ARRAY: "an array of bools",
+    ParameterType.PARAMETER_INTEGER_ARRAY: "an array of integers",
+    ParameterType.PARAMETER_DOUBLE_ARRAY: "an array of doubles",
+    ParameterType.PARAMETER_STRING_ARRAY: "an array of strings",
+}
+
+
+def _is_not_set(value: Any) -> bool:
+    return bool(value.type == ParameterType.PARAMETER_NOT_SET)
+
+
+def _plain(value: Any) -> Any:
+    found = parameter_value_to_python(value)
+    if value.type == ParameterType.PARAMETER_BYTE_ARRAY:
+        return [each[0] for each in found]
+    return found if found is None or isinstance(found, bool | int | float | str) else list(found)

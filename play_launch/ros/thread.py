@@ -1,7 +1,7 @@
-"""One thread in which everything of rclpy happens, and the way between it and the event loop.
+"""ROS nodes of this process: one for each domain, each in a thread of its own, shared by its users.
 
 rclpy's nodes and clients may be used by one thread at a time, and its waits block. So all of them
-live here; the loop hands work over and gets results back, and neither ever waits for the other.
+live in that thread; the event loop posts work and gets results, and neither waits for the other.
 """
 
 from __future__ import annotations
@@ -11,30 +11,33 @@ import logging
 import os
 import threading
 from collections import deque
-from contextlib import suppress
+from contextlib import asynccontextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
-from play_launch.ros.fastdds.own_participant import as_our_own
-from play_launch.ros.fastdds.waits import end_participants_safely
-from play_launch.ros.waiting import Waiting
+import anyio
+
+from play_launch.ros.fastdds.own_participant import as_our_own, end_participants_safely
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import AsyncIterator, Callable, Mapping
 
     from rclpy.context import Context
     from rclpy.node import Node
+
+    from play_launch.ros.waiting import Waiting
 
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
 _JOIN_LIMIT: Final = 5.0
 """Seconds for the thread's end."""
+_DOMAIN: Final = "ROS_DOMAIN_ID"
 _MOST_FAILURES: Final = 1000
 """After that many the thread ends, with a log message."""
 
 
 class RosThreadError(Exception):
-    """The thread has not started, or has ended, so that nothing of ROS is to be had from it."""
+    """The thread has not started, or has ended."""
 
 
 class _Work(NamedTuple):
@@ -46,12 +49,12 @@ class _Work(NamedTuple):
 class RosThread:
     """An rclpy node in a thread of its own.
 
-    ``start`` and ``close`` wait for the thread, about 0.1 s for a DDS participant: call them from
-    another thread than the event loop's. The rest never blocks.
+    ``start``, ``until_started`` and ``close`` wait for the thread, 0.1 s and more for a DDS
+    participant: call them from another thread than the event loop's. The rest never blocks.
     """
 
     def __init__(self, name: str, *, domain_id: int | None = None) -> None:
-        """Name the node; without a ``domain_id`` the environment's holds."""
+        """Name the node; without a ``domain_id`` that of the environment is used."""
         self.name = name
         self._domain_id = domain_id
         self._work: deque[_Work] = deque()
@@ -71,25 +74,30 @@ class RosThread:
         self.graph_changes = 0
         """How often the graph was seen to change; several changes may count as one."""
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether it refuses all work: it failed, or was closed."""
+        return self._ended is not None
+
     def begin(self) -> None:
-        """Start without waiting; what is asked of it meanwhile is done when the node is there."""
+        """Start without waiting; work that is posted meanwhile is done once the node exists."""
         self._thread.start()
 
-    def start(self) -> None:
-        """Start and wait until the node is there; raises what kept it from that."""
-        self.begin()
+    def until_started(self) -> None:
+        """Wait until the node exists; raises what prevented that."""
         self._started.wait()
         if self._failure is not None:
             raise self._failure
 
-    def finish(self) -> None:
-        """End the thread and everything in it, without waiting for that."""
-        self._closing = True
-        self._wake()
+    def start(self) -> None:
+        """Start and wait until the node exists."""
+        self.begin()
+        self.until_started()
 
     def close(self) -> None:
         """End it and wait for its end; harmless when it has not started, or has ended."""
-        self.finish()
+        self._closing = True
+        self._wake()
         if not self._thread.is_alive():
             return
         self._thread.join(_JOIN_LIMIT)
@@ -222,34 +230,9 @@ class RosThread:
             context.try_shutdown()
 
     def _open(self) -> tuple[Context, Node, Waiting]:
-        # Takes long, and only stock containers need it.
-        import rclpy  # noqa: PLC0415
-        from rclpy.context import Context  # noqa: PLC0415
-        from rclpy.node import Node  # noqa: PLC0415
-        from rclpy.parameter import Parameter  # noqa: PLC0415
-        from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
-        from rclpy.utilities import get_rmw_implementation_identifier  # noqa: PLC0415
+        from play_launch.ros.waiting import Waiting  # noqa: PLC0415 - imports rclpy
 
-        # Services are not waited for, and all others would have to discover this one.
-        off = Parameter("start_type_description_service", value=False)  # type: ignore[no-untyped-call]
-        context = Context()
-        self.rmw_implementation = get_rmw_implementation_identifier()
-        with as_our_own(os.environ, self.rmw_implementation):
-            rclpy.init(
-                args=[],
-                context=context,
-                domain_id=self._domain_id,
-                signal_handler_options=SignalHandlerOptions.NO,
-            )
-            end_participants_safely()
-            node = Node(
-                self.name,
-                context=context,
-                use_global_arguments=False,
-                enable_rosout=False,
-                start_parameter_services=False,
-                parameter_overrides=[off],
-            )
+        context, node, self.rmw_implementation = open_node(self.name, self._domain_id)
         waiting = Waiting(node, self._graph_changed)
         self._wake = waiting.wake
         self.domain_id = context.get_domain_id()
@@ -300,6 +283,87 @@ class RosThread:
     def _look_again(self) -> None:
         self._work.extend(self._awaiting)
         self._awaiting.clear()
+
+
+class NodePool:
+    """Threads with hidden nodes, one for each domain, each as long as it has users.
+
+    A second participant at the address of the first is introduced to others within seconds only.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._threads: dict[int, RosThread] = {}
+        self._users: dict[RosThread, int] = {}
+
+    def acquire(self, environment: Mapping[str, str]) -> RosThread:
+        """Return the thread of the domain that these variables name, else this process's.
+
+        It may not have started yet, and is to be released.
+        """
+        domain = int(environment.get(_DOMAIN) or os.environ.get(_DOMAIN) or 0)
+        with self._lock:
+            thread = self._threads.get(domain)
+            if thread is None or thread.has_ended:
+                # A name that `ros2 node list` does not show.
+                thread = RosThread(f"_play_launch_{os.getpid()}", domain_id=domain)
+                thread.begin()
+                self._threads[domain] = thread
+            self._users[thread] = self._users.get(thread, 0) + 1
+        return thread
+
+    def release(self, thread: RosThread) -> None:
+        """End a use; the last one closes the thread, and waits for that."""
+        with self._lock:
+            self._users[thread] -= 1
+            if self._users[thread]:
+                return
+            del self._users[thread]
+            self._threads = {key: each for key, each in self._threads.items() if each is not thread}
+        thread.close()
+
+    @asynccontextmanager
+    async def used(self, environment: Mapping[str, str]) -> AsyncIterator[RosThread]:
+        """Acquire the thread for the time of the block."""
+        thread = self.acquire(environment)
+        try:
+            yield thread
+        finally:
+            with anyio.CancelScope(shield=True):
+                await asyncio.to_thread(self.release, thread)
+
+
+node_pool: Final = NodePool()
+"""The pool of this process."""
+
+
+def open_node(name: str, domain_id: int | None = None) -> tuple[Context, Node, str]:
+    """Make a node without services and log files, in a context, so a participant, of its own.
+
+    Without a ``domain_id`` the environment's holds. The third value is the middleware in use.
+    """
+    # Takes long, and most sessions need none of it.
+    from rclpy.context import Context  # noqa: PLC0415
+    from rclpy.node import Node  # noqa: PLC0415
+    from rclpy.parameter import Parameter  # noqa: PLC0415
+    from rclpy.utilities import get_rmw_implementation_identifier  # noqa: PLC0415
+
+    # Services are not waited for, and all others would have to discover this one.
+    off = Parameter("start_type_description_service", value=False)  # type: ignore[no-untyped-call]
+    context, rmw = Context(), get_rmw_implementation_identifier()
+    with as_our_own(os.environ, rmw):
+        # A user may have no home for log files.
+        context.init(args=["--ros-args", "--disable-external-lib-logs"], domain_id=domain_id)
+        end_participants_safely()
+        node = Node(
+            name,
+            context=context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[off],
+        )
+    return context, node, rmw
 
 
 def _hand_over(loop: asyncio.AbstractEventLoop, callback: Callable[..., Any], *values: Any) -> None:

@@ -1,4 +1,4 @@
-"""What our own node waits for: answers, messages, changes of the graph, and being woken.
+"""The wait of our own nodes: for answers, messages, changes of the graph, and being woken.
 
 rclpy's executors make a wait set and tasks anew each time. While a system comes up its graph
 changes a thousand times and answers come in between, which took more CPU than all the rest of the
@@ -7,13 +7,13 @@ supervisor.
 
 from __future__ import annotations
 
+import ctypes
+import math
 import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
-
-from play_launch.ros.graph_guard import GraphGuard, GraphGuardError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,6 +25,48 @@ GRAPH_PAUSE: Final = 0.05
 GRAPH_POLL: Final = 0.25
 """Seconds between two looks at the graph where its event cannot be had."""
 _FOR_EVER: Final = -1
+_RCL_OK: Final = 0
+
+
+class GraphGuardError(Exception):
+    """This rclpy or rcl lacks what is needed; the graph is polled instead."""
+
+
+class GraphGuard:
+    """rcl's guard condition for changes of the graph, of a node that must outlive it.
+
+    Every node of rcl has one, but rclpy neither exposes it nor waits for it (its
+    ``wait_for_service`` polls). Its nodes and wait sets have their addresses, though, so rcl itself
+    can put the one into the other. Raises ``GraphGuardError`` where that is not possible.
+    """
+
+    def __init__(self, node: Node) -> None:
+        try:
+            # The extension is linked against rcl, so rcl's functions are found through it.
+            rcl = ctypes.CDLL(rclpy_implementation.__file__)
+            find = rcl.rcl_node_get_graph_guard_condition
+            self._add = rcl.rcl_wait_set_add_guard_condition
+            find.argtypes, find.restype = [ctypes.c_void_p], ctypes.c_void_p
+            with node.handle:
+                self._guard = find(node.handle.pointer)
+        except (OSError, AttributeError) as error:
+            raise GraphGuardError(str(error)) from error
+        self._add.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
+        self._add.restype = ctypes.c_int
+        if not self._guard:
+            raise GraphGuardError("the node has no guard condition for the graph")
+
+    def add_to(self, wait_set: Any) -> int:
+        """Put it into a wait set of rclpy's extension and return its index there.
+
+        ``wait_set.is_ready("guard_condition", index)`` says after the wait whether the graph
+        changed. Raises ``GraphGuardError`` when rcl refuses.
+        """
+        index = ctypes.c_size_t()
+        code = self._add(wait_set.pointer, self._guard, ctypes.byref(index))
+        if code != _RCL_OK:
+            raise GraphGuardError(f"rcl_wait_set_add_guard_condition returned {code}")
+        return index.value
 
 
 class Waiting:
@@ -47,8 +89,8 @@ class Waiting:
         """End the wait, or the next one; from any thread."""
         self._wake.trigger()
 
-    def wait(self) -> None:
-        """Wait, and pass answers and messages to their callbacks.
+    def wait(self, limit: float = math.inf) -> None:
+        """Wait for so many seconds at most, and pass answers and messages to their callbacks.
 
         Raises what keeps one of them from being read, or goes wrong in a subscription's callback.
         """
@@ -62,7 +104,8 @@ class Waiting:
         pause = self._look_at - time.monotonic()
         graph = self._add_graph(waits) if pause <= 0 else None
         # Lets other threads of Python run meanwhile.
-        waits.wait(_FOR_EVER if graph is not None else max(0, round(pause * 1e9)))
+        left = limit if graph is not None else min(limit, max(0.0, pause))
+        waits.wait(_FOR_EVER if math.isinf(left) else round(left * 1e9))
         if pause <= 0 and (graph is None or waits.is_ready("guard_condition", graph)):
             self._look_at = time.monotonic() + (GRAPH_POLL if graph is None else GRAPH_PAUSE)
             self._on_graph_change()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from play_launch.config.model import ContainerConfig, ProcessConfig, ReplayConfig
-    from play_launch.ros.parameter_setter import ParameterSetter
+    from play_launch.ros.parameters import ParameterSetter
     from play_launch.runtime.system import System
     from play_launch.supervisor.plan import Plan, Step
 

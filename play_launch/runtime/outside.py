@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from play_launch.config.dependency import Dependency, StartRule
-    from play_launch.ros.graph_source import GraphSource
+    from play_launch.ros.access import GraphSource
     from play_launch.ros.managed_node import ManagedNodeClient
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import RunEvent

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
     from play_launch.recording.decisions import DecisionLog
     from play_launch.ros.access import RosAccess
-    from play_launch.ros.parameter_setter import ParameterSetter
+    from play_launch.ros.parameters import ParameterSetter
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.signals import StopRequests
     from play_launch.supervisor.view import SystemView

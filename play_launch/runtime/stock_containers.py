@@ -15,7 +15,7 @@ from play_launch.container.messages import Hello
 from play_launch.container.ros import NotInstalledError
 from play_launch.process.exit import Exit
 from play_launch.ros.composition import CompositionClient
-from play_launch.ros.thread import RosThread
+from play_launch.ros.thread import RosThread, node_pool
 from play_launch.runtime.stock_link import StockLink
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
+_DOMAIN: Final = "ROS_DOMAIN_ID"
 _WAITING: Final = 10.0
 """Seconds after which the absence of a container that something else starts is reported."""
 
@@ -106,11 +107,11 @@ async def _follow(process: ManagedProcess, link: StockLink) -> None:
 
 
 class StockContainers:
-    """The ROS side of all stock containers of a system: one thread for each domain."""
+    """The ROS side of all stock containers of a system."""
 
     def __init__(self, ask: float) -> None:
         """Start nothing; ``ask`` is how long an attached container may take to unload nodes."""
-        self._threads: dict[int | None, RosThread] = {}
+        self._threads: dict[str, RosThread] = {}
         self._ask = ask
         self._slots: asyncio.Semaphore | None = None
 
@@ -141,13 +142,16 @@ class StockContainers:
             if each.container_type is ContainerType.STOCK
         }
         try:
-            for domain in sorted(domains - self._threads.keys(), key=str):
+            for domain in sorted(domains - self._threads.keys()):
                 import composition_interfaces.srv  # noqa: F401, PLC0415 - takes long
                 import rcl_interfaces.msg  # noqa: F401, PLC0415
 
-                # A name that `ros2 node list` does not show.
-                thread = RosThread(f"_play_launch_{os.getpid()}", domain_id=domain)
-                thread.start()
+                thread = node_pool.acquire({_DOMAIN: domain})
+                try:
+                    thread.until_started()
+                except BaseException:
+                    node_pool.release(thread)
+                    raise
                 self._threads[domain] = thread
         except Exception as error:
             reason = f"container_type stock cannot be used here: {error}"
@@ -165,9 +169,9 @@ class StockContainers:
         return link
 
     def close(self) -> None:
-        """End the threads; waits for them."""
+        """Release the threads; waits for the end of those without other users."""
         for thread in self._threads.values():
-            thread.close()
+            node_pool.release(thread)
         self._threads = {}
 
     def _link(self, config: ContainerConfig, pid: int = 0, start_time: int = 0) -> StockLink:
@@ -189,7 +193,6 @@ class StockContainers:
         return StockLink(hello, services, slots=self._slots, loading_timeout=timeout)
 
 
-def _domain(config: ContainerConfig) -> int | None:
-    """The domain that the configuration gives the container; None for the environment's."""
-    given = config.environment.get("ROS_DOMAIN_ID", "")
-    return int(given) if given else None
+def _domain(config: ContainerConfig) -> str:
+    """The domain that the configuration gives the container; empty for the environment's."""
+    return config.environment.get(_DOMAIN, "")

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from play_launch.config.node_key import NodeKey
     from play_launch.recording.decisions import DecisionLog
     from play_launch.ros.access import RosAccess
-    from play_launch.ros.parameter_setter import ParameterSetter
+    from play_launch.ros.parameters import ParameterSetter
     from play_launch.runtime.applying import Applying
     from play_launch.runtime.launcher import NativeLauncher
     from play_launch.runtime.publisher import Publisher
@@ -280,7 +280,7 @@ class System:
         """What changes it while it runs."""
         if self._applying is None:
             # The start of a system needs none of it.
-            from play_launch.ros.parameter_setter import ParameterSetter  # noqa: PLC0415
+            from play_launch.ros.parameters import ParameterSetter  # noqa: PLC0415
             from play_launch.runtime.applying import Applying  # noqa: PLC0415
 
             self._applying = Applying(self, self._parameters or ParameterSetter())

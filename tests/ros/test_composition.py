@@ -17,8 +17,8 @@ from std_msgs.msg import String
 
 from play_launch.ros import waiting
 from play_launch.ros.composition import CompositionClient
-from play_launch.ros.graph_guard import GraphGuard, GraphGuardError
 from play_launch.ros.thread import RosThread, RosThreadError
+from play_launch.ros.waiting import GraphGuard, GraphGuardError
 from tests.support.container import running_container
 
 if TYPE_CHECKING:

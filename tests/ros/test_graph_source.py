@@ -1,4 +1,4 @@
-"""When somebody looks at the ROS graph, with a stand-in for the thread that has a node."""
+"""Reading of the ROS graph while something is awaited, with a stand-in for the pool of nodes."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
 from play_launch.config.dependency import Condition
-from play_launch.ros import graph_source
-from play_launch.ros.graph_source import GraphSource, Wanted
-from play_launch.ros.shared_thread import SharedRosThread
+from play_launch.ros import access
+from play_launch.ros.access import GraphSource, Wanted
 
 pytestmark = pytest.mark.anyio
 
@@ -30,7 +29,7 @@ class StandIn:
         self.times = 0
 
     @asynccontextmanager
-    async def used(self) -> AsyncIterator[StandIn]:
+    async def used(self, _environment: object) -> AsyncIterator[StandIn]:
         self.times += 1
         try:
             yield self
@@ -45,10 +44,13 @@ class StandIn:
         return work.keywords["wanted"]
 
 
-async def test_what_is_wanted_while_the_node_leaves_is_looked_for() -> None:
+async def test_what_is_wanted_while_the_node_leaves_is_looked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     ros = StandIn()
+    monkeypatch.setattr(access, "node_pool", ros)
     seen: asyncio.Queue[Wanted] = asyncio.Queue()
-    source = GraphSource(cast(SharedRosThread, ros), seen.put_nowait)
+    source = GraphSource({}, seen.put_nowait)
     source.watch([TALKER])
     assert await seen.get() == {TALKER}
     source.watch([])
@@ -65,16 +67,16 @@ async def test_a_graph_that_cannot_be_read_is_reported_and_read_again(
 ) -> None:
     class NoRosAtFirst(StandIn):
         @asynccontextmanager
-        async def used(self) -> AsyncIterator[StandIn]:
+        async def used(self, _environment: object) -> AsyncIterator[StandIn]:
             self.times += 1
             if self.times == 1:
                 raise ImportError("no rclpy")
             yield self
 
-    monkeypatch.setattr(graph_source, "_RETRY_INTERVAL", 0.0)
-    ros = NoRosAtFirst()
+    monkeypatch.setattr(access, "_RETRY_INTERVAL", 0.0)
+    monkeypatch.setattr(access, "node_pool", NoRosAtFirst())
     seen: asyncio.Queue[Wanted] = asyncio.Queue()
-    source = GraphSource(cast(SharedRosThread, ros), seen.put_nowait)
+    source = GraphSource({}, seen.put_nowait)
     source.watch([TALKER])
     assert await asyncio.wait_for(seen.get(), 60) == {TALKER}
     await source.close()

@@ -6,7 +6,7 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from play_launch.ros.parameter_setter import ParameterSetter
+from play_launch.ros.parameters import ParameterSetter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -12,8 +12,7 @@ from msgspec.structs import replace
 
 from play_launch.config.model import Autostart, ManagedConfig, ReplayConfig
 from play_launch.config.node_key import NodeKey
-from play_launch.ros.access import RosAccess
-from play_launch.ros.graph_source import GraphSource, Wanted
+from play_launch.ros.access import GraphSource, RosAccess, Wanted
 from play_launch.ros.managed_node import ManagedNodeClient
 from play_launch.supervisor.events import ManagedNodeChanged, ManagedState, NodeState
 

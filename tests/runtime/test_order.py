@@ -15,8 +15,7 @@ from play_launch.config.dependency import Condition, Dependency, OnTimeout, Star
 from play_launch.config.model import OnExit, ReplayConfig
 from play_launch.config.node_key import NodeKey
 from play_launch.process.exit import Exit
-from play_launch.ros.access import RosAccess
-from play_launch.ros.graph_source import GraphSource, Wanted
+from play_launch.ros.access import GraphSource, RosAccess, Wanted
 from play_launch.runtime.commands import StartError
 from play_launch.supervisor import process_rules
 from play_launch.supervisor.conditions import readiness

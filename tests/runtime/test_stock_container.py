@@ -47,7 +47,7 @@ def test_what_keeps_ros_from_working_is_told(monkeypatch: pytest.MonkeyPatch) ->
     def refuse(_: object) -> None:
         raise RuntimeError("no such network")
 
-    monkeypatch.setattr("play_launch.ros.thread.RosThread.start", refuse)
+    monkeypatch.setattr("play_launch.ros.thread.RosThread.until_started", refuse)
     config = system(replace(container("a"), container_type=ContainerType.STOCK))
     with pytest.raises(NotInstalledError, match=r"no such network.*doctor"):
         StockContainers.of(config)

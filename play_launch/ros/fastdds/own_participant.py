@@ -8,20 +8,31 @@ node held up all nodes of a system for up to 0.33 s. The messages exchanged are 
 
 **Early.** They announce themselves every 0.2 s instead of every 3 s, and with LOCALHOST to the
 first 63 participants of a domain instead of 32.
+
+**With an end.** Where a participant is destroyed while one of its discovery callbacks runs, Fast
+DDS of the ROS wheels may wait in a loop that keeps the mutex from that callback, for seconds or
+for ever, while rclpy holds Python's lock. The cause is a deadline that overflows
+(``overrides/condition_deadline.cpp`` of the container's sources). And where a reader in shared
+memory exits amid a message, a writer may wait for itself for ever (``overrides/owned_lock.cpp``).
+Our native programs define the functions that Fast DDS waits with; here they are replaced in the
+library that is loaded.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import logging
 import os
+import sys
 import threading
 from dataclasses import dataclass
+from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import TYPE_CHECKING, Final
 
-from play_launch.ros.fastdds.middleware import is_fastdds
-from play_launch.ros.fastdds.profiles import files_here, profile_in_use
+from play_launch.config.substitutions import ament_prefixes
+from play_launch.ros.fastdds.middleware import files_here, is_fastdds, profile_in_use
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -33,7 +44,11 @@ _OLD_RANGE: Final = "ROS_LOCALHOST_ONLY"
 _PEERS: Final = "ROS_STATIC_PEERS"
 _UDP: Final = "UDPv4"
 _ANY_RANGE: Final[dict[str, str | None]] = {_RANGE: "SYSTEM_DEFAULT", _OLD_RANGE: None}
+_WAITS: Final = Path("lib") / "play_launch_container" / "libpython_waits.so"
+_LIBRARIES: Final = ("libfastrtps.so", "libfastdds.so")
+"""How the file of Fast DDS begins, of version 2 and later ones."""
 _lock = threading.Lock()
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +130,29 @@ def _set(variables: Mapping[str, str | None]) -> None:
             libc.unsetenv(name.encode())
         else:
             libc.setenv(name.encode(), os.fsencode(value), 1)
+
+
+def end_participants_safely(libraries: tuple[str, ...] = _LIBRARIES) -> int:
+    """Replace the waits in the libraries that are loaded, so after the middleware's.
+
+    Does nothing with another middleware, and where our own library is not installed.
+
+    Args:
+        libraries: How their file names begin.
+
+    Returns:
+        In how many it was replaced.
+    """
+    for prefix in (Path(sys.prefix), *ament_prefixes(os.environ)):
+        path = prefix / _WAITS
+        try:
+            native = ctypes.CDLL(os.fspath(path))
+        except OSError as error:
+            if path.exists():
+                _log.debug("%s cannot be loaded: %s", path, error)
+            continue
+        return sum(native.play_launch_replace_waits(os.fsencode(name)) for name in libraries)
+    return 0
 
 
 def _profile(chosen: OwnParticipant) -> str:

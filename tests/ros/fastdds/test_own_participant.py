@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from play_launch.ros.fastdds.middleware import profile_in_use
 from play_launch.ros.fastdds.own_participant import as_our_own, decide
-from play_launch.ros.fastdds.profiles import profile_in_use
 from tests.support.loopback_network import permitted, wrapped
 
 PATIENCE = 60.0

@@ -49,7 +49,7 @@ extern "C" int lock_twice() {
 """
 TRYING = """
 import ctypes, sys
-from play_launch.ros.fastdds.waits import end_participants_safely
+from play_launch.ros.fastdds.own_participant import end_participants_safely
 
 library = ctypes.CDLL(sys.argv[1])
 library.wait_until.argtypes = [ctypes.c_long]
@@ -95,7 +95,8 @@ def test_the_functions_of_a_library_are_replaced(tmp_path: Path, binding: str) -
 )
 def test_fast_dds_of_the_wheels_gets_it() -> None:
     code = (
-        "import rclpy; from play_launch.ros.fastdds.waits import end_participants_safely as end;"
+        "import rclpy;"
+        "from play_launch.ros.fastdds.own_participant import end_participants_safely as end;"
         "rclpy.init(); print(end()); rclpy.shutdown()"
     )
     assert python(code) == ["1"]
