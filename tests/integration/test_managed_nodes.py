@@ -153,11 +153,11 @@ def test_a_transition_that_fails_is_reported_and_fails_what_waits(
 
 
 def test_one_that_takes_too_long(tmp_path: Path) -> None:
-    slow = node("one", parameters={"takes": 600.0}, transition_timeout="4 s")
+    slow = node("one", parameters={"takes": 600.0}, transition_timeout="12 s")
     config = write(tmp_path, containers=[container(slow, kind="mt")])
     with replaying(config, tmp_path / "logs") as replay:
         failed = read_until(replay, event="managed", state="failed")
-    assert failed["reason"] == "its transition configure took longer than 4 s"
+    assert failed["reason"] == "its transition configure took longer than 12 s"
 
 
 def test_one_without_services_is_reported(tmp_path: Path) -> None:
