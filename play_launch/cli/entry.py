@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import errno
 import gc
+import io
 import os
 import signal
 import sys
-from typing import Final
+from typing import IO, Final
 
 OUTPUT_FAILED: Final = 2
 """Exit code if the output could not be written."""
+_ESCAPED: Final = "backslashreplace"
 _SHORT: Final = frozenset({"check", "dump", "ps"})
 
 
@@ -24,11 +26,10 @@ def main() -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     from play_launch.cli.output import (  # noqa: PLC0415 - after the lines above
         is_about_output,
-        prepare_standard_streams,
         report_write_error,
     )
 
-    prepare_standard_streams()
+    _prepare_standard_streams()
     try:
         _run()
     except OSError as error:
@@ -46,6 +47,41 @@ def main() -> None:
         else:
             raise
         sys.exit(OUTPUT_FAILED)
+
+
+def _prepare_standard_streams() -> None:
+    """Put the null device in the place of closed streams, and keep stdout for the command.
+
+    A file that is opened later would otherwise get the number and the output of a closed stream.
+    A character that the encoding of stdout lacks is written as an escape, as on stderr.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest free number: this one
+    sys.stdin = sys.stdin or _null(0, "r")
+    sys.stderr = sys.stderr or _null(2, "w")
+    stdout = sys.stdout or _null(1, "w")
+    assert isinstance(stdout, io.TextIOWrapper)
+    stdout.flush()
+    # Children do not inherit the copy. Python closes neither this one nor descriptor 1.
+    unbuffered = stdout.write_through
+    binary = open(os.dup(1), "wb", buffering=0 if unbuffered else -1, closefd=False)  # noqa: SIM115
+    os.dup2(2, 1)
+    # Python asks the original for the terminal's width.
+    sys.stdout = sys.__stdout__ = io.TextIOWrapper(  # type: ignore[misc]
+        binary,
+        encoding=stdout.encoding,
+        errors=_ESCAPED,
+        newline="\n",
+        line_buffering=stdout.line_buffering,
+        write_through=unbuffered,
+    )
+
+
+def _null(number: int, mode: str) -> IO[str]:
+    return open(number, mode, encoding="utf-8", errors=_ESCAPED, closefd=False)
 
 
 def _folder_is_gone() -> bool:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import io
 import os
 import re
 import sys
@@ -28,44 +27,8 @@ if TYPE_CHECKING:
 _UNWRITABLE: Final = frozenset(
     {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, errno.ENXIO}
 )
-_ESCAPED: Final = "backslashreplace"
 
 # Standard streams.
-
-
-def prepare_standard_streams() -> None:
-    """Put the null device in the place of closed streams, and keep stdout for the command.
-
-    A file that is opened later would otherwise get the number and the output of a closed stream.
-    A character that the encoding of stdout lacks is written as an escape, as on stderr.
-    """
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # the lowest free number: this one
-    sys.stdin = sys.stdin or _null(0, "r")
-    sys.stderr = sys.stderr or _null(2, "w")
-    stdout = sys.stdout or _null(1, "w")
-    assert isinstance(stdout, io.TextIOWrapper)
-    stdout.flush()
-    # Children do not inherit the copy. Python closes neither this one nor descriptor 1.
-    unbuffered = stdout.write_through
-    binary = open(os.dup(1), "wb", buffering=0 if unbuffered else -1, closefd=False)  # noqa: SIM115
-    os.dup2(2, 1)
-    # Python asks the original for the terminal's width.
-    sys.stdout = sys.__stdout__ = io.TextIOWrapper(  # type: ignore[misc]
-        binary,
-        encoding=stdout.encoding,
-        errors=_ESCAPED,
-        newline="\n",
-        line_buffering=stdout.line_buffering,
-        write_through=unbuffered,
-    )
-
-
-def _null(number: int, mode: str) -> IO[str]:
-    return open(number, mode, encoding="utf-8", errors=_ESCAPED, closefd=False)
 
 
 def stdout_is_kept() -> bool:

@@ -6,7 +6,7 @@ import contextlib
 import re
 import struct
 from difflib import SequenceMatcher
-from itertools import pairwise, zip_longest
+from itertools import islice, pairwise, zip_longest
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 import msgspec
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     from play_launch.recording.decisions import Decision
     from play_launch.supervisor.events import RunEvent
-    from play_launch.supervisor.inputs import Input
 
     Fields = dict[str, Any]
     """Those of a `StateEvent`."""
@@ -91,16 +90,13 @@ def rerun(
     recorded = _recorded(session)
     report_damage(session.reader)
     repeated = Rerun(recorded, until)
-    differences: list[Difference] = []
-    for found in repeated.differences():
-        differences.append(found)
-        if not diff:
-            break
+    differences = list(islice(repeated.differences(), None if diff else 1))
     flaw = "" if repeated.is_cut else recorded.flaw
+    found = _object(file, repeated, differences, flaw)
     if as_json:
-        say(msgspec.json.encode(_object(file, repeated, differences, flaw)).decode())
+        say(msgspec.json.encode(found).decode())
     else:
-        for line in _lines(repeated, differences, flaw):
+        for line in _lines(found):
             say(printable(line))
     if differences:
         return ExitCode.NODE_FAILED
@@ -241,9 +237,7 @@ def _is_like(old: Any, new: Any) -> bool:
     return re.fullmatch(pattern, old, re.DOTALL) is not None
 
 
-def _object(
-    file: Path, rerun: Rerun, differences: list[Difference], flaw: str
-) -> dict[str, object]:
+def _object(file: Path, rerun: Rerun, differences: list[Difference], flaw: str) -> dict[str, Any]:
     return {
         "path": str(file).encode("utf-8", "backslashreplace").decode(),
         "inputs": rerun.inputs,
@@ -251,65 +245,53 @@ def _object(
         "until_s": rerun.seconds,
         "same": not differences and not flaw,
         "incomplete": flaw or None,
-        "differences": [
-            {
-                "seconds": each.seconds,
-                "unit": _unit(each),
-                "kind": _kind(each),
-                "input": {
-                    "number": each.decision.number,
-                    "type": type(each.decision.said).__name__,
-                    "unit": _about(each.decision.said),
-                },
-                "recorded": each.recorded,
-                "new": each.new,
-                "fields": _fields(each.recorded, each.new) if each.recorded and each.new else [],
-            }
-            for each in differences
-        ],
+        "differences": [*map(_difference, differences)],
     }
 
 
-def _lines(rerun: Rerun, differences: list[Difference], flaw: str) -> Iterator[str]:
-    for each in differences:
-        about = _about(each.decision.said)
-        cause = f"{type(each.decision.said).__name__}{f' of {about}' if about else ''}"
+def _difference(found: Difference) -> Fields:
+    said, fields = found.decision.said, found.recorded or found.new or {}
+    return {
+        "seconds": found.seconds,
+        "unit": str(fields["key"]),
+        "kind": SubjectKind(fields["kind"]).name.lower(),
+        "input": {
+            "number": found.decision.number,
+            "type": type(said).__name__,
+            "unit": str(getattr(said, "unit", getattr(said, "node", ""))),
+        },
+        "recorded": found.recorded,
+        "new": found.new,
+        "fields": _fields(found.recorded, found.new) if found.recorded and found.new else [],
+    }
+
+
+def _lines(found: dict[str, Any]) -> Iterator[str]:
+    for each in found["differences"]:
+        number, cause, unit = each["input"].values()
+        of = f" of {unit}" if unit else ""
         yield (
-            f"{each.seconds:.3f} s: {_kind(each)} {_unit(each)} differs"
-            f" after input {each.decision.number}, {cause}"
+            f"{each['seconds']:.3f} s: {each['kind']} {each['unit']} differs"
+            f" after input {number}, {cause}{of}"
         )
-        if each.recorded and each.new:
-            for name in _fields(each.recorded, each.new):
-                yield f"  {name}: recorded {each.recorded[name]!r}, now {each.new[name]!r}"
-        else:
-            yield f"  recorded: {_summary(each.recorded)}"
-            yield f"  now: {_summary(each.new)}"
-    if flaw:
-        yield f"the recording is incomplete: {flaw}"
-    if rerun.inputs:
-        verdict = "differently" if differences else "as recorded"
+        old, new = each["recorded"], each["new"]
+        for name in each["fields"]:
+            yield f"  {name}: recorded {old[name]!r}, now {new[name]!r}"
+        if not each["fields"]:
+            yield f"  recorded: {_summary(old)}"
+            yield f"  now: {_summary(new)}"
+    if found["incomplete"]:
+        yield f"the recording is incomplete: {found['incomplete']}"
+    if found["inputs"]:
+        verdict = "differently" if found["differences"] else "as recorded"
         yield (
-            f"{counted(rerun.inputs, 'input')} up to {rerun.seconds:.3f} s led to"
-            f" {counted(rerun.events, 'change')} of state, {verdict}"
+            f"{counted(found['inputs'], 'input')} up to {found['until_s']:.3f} s led to"
+            f" {counted(found['states'], 'change')} of state, {verdict}"
         )
-
-
-def _unit(difference: Difference) -> str:
-    fields = difference.recorded or difference.new or {}
-    return str(fields["key"])
-
-
-def _kind(difference: Difference) -> str:
-    fields = difference.recorded or difference.new or {}
-    return SubjectKind(fields["kind"]).name.lower()
-
-
-def _about(said: Origin | Input | Over) -> str:
-    return str(getattr(said, "unit", getattr(said, "node", "")))
 
 
 def _summary(fields: Fields | None) -> str:
     if fields is None:
         return "nothing"
-    reason = fields["reason"]
-    return f"{fields['state']} ({reason})" if reason else str(fields["state"])
+    reason = f" ({fields['reason']})" if fields["reason"] else ""
+    return f"{fields['state']}{reason}"

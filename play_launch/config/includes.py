@@ -265,10 +265,6 @@ def _named_alike(entry: Mapping, included: Sequence) -> list[int]:
     ]
 
 
-def _namespace(entry: Mapping) -> str:
-    return (_text(entry, "namespace") or "").strip("/")
-
-
 def _text(mapping: Mapping, key: str) -> str | None:
     node = mapping.value(key)
     return node.text if isinstance(node, Scalar) else None

@@ -20,12 +20,11 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
 
 PERIOD: Final = 0.3
-"""Seconds between two checks; files are read when two checks in a row find the same."""
+"""Seconds between two checks; a change is read when two checks in a row find the same."""
 _log = logging.getLogger(__name__)
 
-Stamps = tuple[tuple[int, int, int] | None, ...]
-Contents = dict[Path, bytes | Refused]
-"""Content of each file, or why it was not read."""
+Contents = dict[Path, bytes | None]
+"""Content of each file; None: it cannot be read."""
 
 
 class Watched(Struct, frozen=True):
@@ -42,31 +41,21 @@ async def watch(
 
     A configuration with mistakes is reported, and nothing is done until the next change.
     """
-    contents = _contents_of(watched.path, config)
-    seen = await asyncio.to_thread(_stamps, contents)
-    if not await asyncio.to_thread(_are_the_same, contents):
-        seen = ()  # it was changed while the system came up
+    files = (*config.included_files, *config.parameter_files)
+    contents: Contents = {watched.path: config.text, **{each.path: each.text for each in files}}
     while True:
         await asyncio.sleep(PERIOD)
-        now = await asyncio.to_thread(_stamps, contents)
-        if now == seen:
+        now = await asyncio.to_thread(_read, contents)
+        if now == contents:
             continue
         await asyncio.sleep(PERIOD)
-        if await asyncio.to_thread(_stamps, contents) != now:
+        if await asyncio.to_thread(_read, contents) != now:
             continue  # it is being written
         found, contents = await asyncio.to_thread(_load, watched)
-        seen = await asyncio.to_thread(_stamps, contents)
-        if not await asyncio.to_thread(_are_the_same, contents):
-            seen = ()  # it was changed while it was read
-        elif isinstance(found, ConfigError):
+        if isinstance(found, ConfigError):
             _log.error("%s is not applied:\n%s", watched.path, found.for_people())
         else:
             await apply(found)
-
-
-def _contents_of(path: Path, config: ReplayConfig) -> Contents:
-    others = (*config.included_files, *config.parameter_files)
-    return {path: config.text, **{each.path: each.text for each in others}}
 
 
 def _load(watched: Watched) -> tuple[ReplayConfig | ConfigError, Contents]:
@@ -77,35 +66,16 @@ def _load(watched: Watched) -> tuple[ReplayConfig | ConfigError, Contents]:
     contents: Contents = {}
 
     def read(path: Path) -> bytes | Refused:
-        contents[path] = found = read_bytes(path)
+        found = read_bytes(path)
+        contents[path] = found if isinstance(found, bytes) else None
         return found
 
-    given = Inputs(arguments=watched.arguments)
     try:
-        return load_config(watched.path, given, read), contents
+        return load_config(watched.path, Inputs(arguments=watched.arguments), read), contents
     except ConfigError as error:
         return error, contents
 
 
-def _stamps(files: Iterable[Path]) -> Stamps:
-    return tuple(_stamp(path) for path in files)
-
-
-def _stamp(path: Path) -> tuple[int, int, int] | None:
-    try:
-        status = path.stat()
-    except OSError:
-        return None  # editors remove a file and write it anew
-    # Not the time of its content, which a copy may keep.
-    return status.st_ctime_ns, status.st_size, status.st_ino
-
-
-def _are_the_same(contents: Contents) -> bool:
-    """Whether the files still hold what was read, or still cannot be read."""
-    return all(
-        _comparable(read_bytes(path)) == _comparable(each) for path, each in contents.items()
-    )
-
-
-def _comparable(content: bytes | Refused) -> bytes | None:
-    return None if isinstance(content, Refused) else content
+def _read(files: Iterable[Path]) -> Contents:
+    found = {path: read_bytes(path) for path in files}
+    return {path: each if isinstance(each, bytes) else None for path, each in found.items()}

@@ -170,15 +170,8 @@ def test_json_has_one_object_for_each_event() -> None:
     JsonStyle(stream).show(folded(*events), 2)
     objects = [json.loads(line) for line in stream.getvalue().splitlines()]
     assert stream.getvalue().isascii()
-    assert [each["event"] for each in objects] == [
-        "component",
-        "process",
-        "output",
-        "log",
-        "node",
-        "container",
-        "missed",
-    ]
+    kinds = ["component", "process", "output", "log", "node", "container", "missed"]
+    assert [each["event"] for each in objects] == kinds
     assert objects[0]["kind"] == "load_failed"
     assert objects[0]["backtrace"] == ["f"]
     assert objects[1]["kind"] == "gave_up"

@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from play_launch.cli.output import printable, wants_colour
+from play_launch.cli.output import duration, printable, wants_colour
 
 
 class Terminal(io.StringIO):
@@ -63,3 +63,17 @@ def test_a_closed_stream_is_no_terminal() -> None:
     stream = io.StringIO()
     stream.close()
     assert not wants_colour(stream)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "expected"),
+    [
+        (0.04, "0.0 s"),
+        (9.96, "10 s"),
+        (59.6, "1 min 0 s"),
+        (200, "3 min 20 s"),
+        (7500, "2 h 5 min"),
+    ],
+)
+def test_durations_are_for_people(seconds: float, expected: str) -> None:
+    assert duration(round(seconds * 1e9)) == expected

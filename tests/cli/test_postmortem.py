@@ -114,18 +114,6 @@ def test_what_a_node_wrote_cannot_spoil_the_terminal(tmp_path: Path) -> None:
     assert "\x07" not in result.stdout
 
 
-@pytest.mark.parametrize("verb", ["explain", "crashes", "compare", "replay"])
-def test_what_is_no_recording_is_named(tmp_path: Path, verb: str) -> None:
-    path = tmp_path / "no.mcap"
-    path.write_text("version: 1")
-    for each in (path, tmp_path / "nothing.mcap"):
-        others = (each,) if verb == "compare" else ()
-        result = run(verb, each, *others)
-        assert result.returncode in ({2, 5} if verb == "crashes" else {2})
-        assert str(each) in result.stderr
-        assert "Traceback" not in result.stderr
-
-
 def test_a_bag_of_somebody_else_is_not_replayed(tmp_path: Path, good: Path) -> None:
     result = run("replay", good, "--log-dir", tmp_path / "logs")
     assert result.returncode == 2

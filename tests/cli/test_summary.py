@@ -54,49 +54,6 @@ def test_the_summary_says_what_was_up_what_failed_and_where_the_recording_is() -
     assert "\x1b" not in text
 
 
-def test_several_files_and_interruptions_are_counted() -> None:
-    summary = RecordingSummary(path=LONG, messages=1, dropped=0, bytes=5, parts=3, interruptions=1)
-    text = printed(summary)
-    assert "(3 files, 1 messages, 5 B, interrupted 1 time)" in text
-    recording = Summary(SYSTEM, SYSTEM, summary).as_object(0)["recording"]
-    assert isinstance(recording, dict)
-    assert (recording["parts"], recording["interruptions"]) == (3, 1)
-
-
-def test_the_summary_for_machines_has_the_same() -> None:
-    values = json.loads(json.dumps(Summary(SYSTEM, SYSTEM, RECORDING).as_object(1)))
-    assert values["exit_code"] == 1
-    assert values["containers"][1] == {
-        "name": "/bad",
-        "state": "running",
-        "exit_code": None,
-        "signal": None,
-        "nodes": 2,
-        "loaded": 0,
-        "failed": ["/bad/n0"],
-        "unloaded": [],
-        "waiting": ["/bad/n1"],
-        "restarts": 2,
-        "pid": 0,
-        "mechanism": "",
-        "crashes": 0,
-        "crashed_when_stopped": [],
-        "details": [
-            {
-                "key": f"/bad:/bad/n{number}",
-                "name": f"/bad/n{number}",
-                "state": state,
-                "pid": 0,
-                "crashes": 0,
-                "reloads": 0,
-            }
-            for number, state in enumerate(["load failed", "loading"])
-        ],
-    }
-    assert values["processes"][0]["failed"] is True
-    assert values["recording"]["path"] == str(LONG)
-
-
 RAN = view(
     container("/fine"),
     process("/fine", ProcessEventKind.READY),
