@@ -10,11 +10,18 @@ import threading
 import time
 from typing import IO, TYPE_CHECKING, Final, NamedTuple
 
-from play_launch.cli.output import counted, redirect_to_devnull
+from play_launch.cli.output import counted, duration, redirect_to_devnull
 from play_launch.cli.show.lines import DisplayLine, format_lines, line_of, missed_line
-from play_launch.cli.show.summary import container_status, is_complete, process_status
 from play_launch.control.event_words import event_object
-from play_launch.supervisor.events import ContainerState, LogRecord, OutputLine, RunEvent, Sample
+from play_launch.process.exit import Exit
+from play_launch.supervisor.events import (
+    ContainerState,
+    LogRecord,
+    OutputLine,
+    ProcessEventKind,
+    RunEvent,
+    Sample,
+)
 from play_launch.supervisor.view import SystemView
 
 if TYPE_CHECKING:
@@ -24,6 +31,7 @@ if TYPE_CHECKING:
     from rich.live import Live
     from rich.text import Text
 
+    from play_launch.supervisor.events import NodeStateChanged, ProcessEvent
     from play_launch.supervisor.view import ContainerView
 
 _log = logging.getLogger(__name__)
@@ -275,3 +283,68 @@ def _text(text: str, style: str) -> Text:
 def _urgency(container: ContainerView) -> tuple[bool, bool, str]:
     is_troubled = bool(container.failed) or container.state in _TROUBLE
     return not is_troubled, container.state is ContainerState.STOPPED, container.name
+
+
+# States in words.
+
+_SHOWN_AFTER_NS: Final = 2_000_000_000
+"""A shorter wait is shown without its time."""
+
+
+def container_status(container: ContainerView, now_ns: int = 0) -> str:
+    """Describe a container and its nodes at ``now_ns`` (nanoseconds since the epoch).
+
+    For example ``loaded 3/4, waiting on /talker … 12 s``; without ``now_ns`` no time is given.
+    """
+    if container.state is not ContainerState.RUNNING:
+        is_starting = container.state is ContainerState.STARTING
+        waited = _waited(container.stamp_ns, now_ns) if is_starting else ""
+        return _because(container.state.value, container.reason) + waited
+    parts = [f"loaded {container.loaded}/{container.total}"]
+    if container.failed:
+        parts.append(f"failed: {node_names(container.failed)}")
+    if container.unloaded:
+        parts.append(f"unloaded: {node_names(container.unloaded)}")
+    if waiting := container.waiting:
+        oldest = min(node.stamp_ns for node in waiting)
+        parts.append(f"waiting on {node_names(waiting)}{_waited(oldest, now_ns)}")
+    return ", ".join(parts)
+
+
+def is_complete(container: ContainerView) -> bool:
+    """Whether a container runs and has all of its nodes."""
+    return container.state is ContainerState.RUNNING and container.loaded == container.total
+
+
+def process_status(process: ProcessEvent) -> str:
+    """Describe an ordinary process: ``running``, ``exited with signal 11 (SIGSEGV)`` …."""
+    match process.kind:
+        case ProcessEventKind.EXITED:
+            return ending(process)
+        case ProcessEventKind.RESTARTING | ProcessEventKind.GAVE_UP:
+            return _because(process.kind.name.lower().replace("_", " "), process.message)
+        case ProcessEventKind.STOPPING | ProcessEventKind.STOPPED:
+            return process.kind.name.lower()
+        case ProcessEventKind.WAITING:
+            return process.message
+        case _:
+            return "running"
+
+
+def ending(process: ProcessEvent) -> str:
+    """Describe the end of a process."""
+    return str(Exit(code=process.exit_code, signal=process.signal))
+
+
+def _waited(since_ns: int, now_ns: int) -> str:
+    waited = now_ns - since_ns
+    return f" … {duration(waited)}" if since_ns and waited >= _SHOWN_AFTER_NS else ""
+
+
+def node_names(nodes: tuple[NodeStateChanged, ...]) -> str:
+    more = f" and {len(nodes) - 1} more" if len(nodes) > 1 else ""
+    return f"{nodes[0].node}{more}"
+
+
+def _because(state: str, reason: str) -> str:
+    return f"{state}: {reason}" if reason else state

@@ -9,9 +9,16 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 from msgspec.structs import asdict
 
-from play_launch.cli.output import RED, RESET, YELLOW, counted, duration, printable, size, table
+from play_launch.cli.output import RED, RESET, YELLOW, counted, printable, size, table
+from play_launch.cli.show.display import (
+    container_status,
+    ending,
+    is_complete,
+    node_names,
+    process_status,
+)
 from play_launch.config.node_key import NodeKey
-from play_launch.process.exit import UNKNOWN_STATUS, Exit
+from play_launch.process.exit import UNKNOWN_STATUS
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind, SubjectKind
 from play_launch.supervisor.view import has_failed
 
@@ -26,7 +33,6 @@ if TYPE_CHECKING:
     Used = Mapping[tuple[SubjectKind, str], GroupTotal]
     _Cell = str | int | tuple[str | int, str]
     """Its text, and its colour if it has one."""
-    from play_launch.supervisor.events import NodeStateChanged
 
 _NO_GROUPS: Final[Used] = {}
 
@@ -194,51 +200,7 @@ def _end_object(process: ProcessEvent) -> dict[str, object]:
     }
 
 
-# States in words.
-
-_SHOWN_AFTER_NS: Final = 2_000_000_000
-"""A shorter wait is shown without its time."""
 _STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
-
-
-def container_status(container: ContainerView, now_ns: int = 0) -> str:
-    """Describe a container and its nodes at ``now_ns`` (nanoseconds since the epoch).
-
-    For example ``loaded 3/4, waiting on /talker … 12 s``; without ``now_ns`` no time is given.
-    """
-    if container.state is not ContainerState.RUNNING:
-        is_starting = container.state is ContainerState.STARTING
-        waited = _waited(container.stamp_ns, now_ns) if is_starting else ""
-        return _because(container.state.value, container.reason) + waited
-    parts = [f"loaded {container.loaded}/{container.total}"]
-    if container.failed:
-        parts.append(f"failed: {_names(container.failed)}")
-    if container.unloaded:
-        parts.append(f"unloaded: {_names(container.unloaded)}")
-    if waiting := container.waiting:
-        oldest = min(node.stamp_ns for node in waiting)
-        parts.append(f"waiting on {_names(waiting)}{_waited(oldest, now_ns)}")
-    return ", ".join(parts)
-
-
-def is_complete(container: ContainerView) -> bool:
-    """Whether a container runs and has all of its nodes."""
-    return container.state is ContainerState.RUNNING and container.loaded == container.total
-
-
-def process_status(process: ProcessEvent) -> str:
-    """Describe an ordinary process: ``running``, ``exited with signal 11 (SIGSEGV)`` …."""
-    match process.kind:
-        case ProcessEventKind.EXITED:
-            return ending(process)
-        case ProcessEventKind.RESTARTING | ProcessEventKind.GAVE_UP:
-            return _because(process.kind.name.lower().replace("_", " "), process.message)
-        case ProcessEventKind.STOPPING | ProcessEventKind.STOPPED:
-            return process.kind.name.lower()
-        case ProcessEventKind.WAITING:
-            return process.message
-        case _:
-            return "running"
 
 
 def container_at_end(before: ContainerView, after: ContainerView) -> str:
@@ -252,7 +214,7 @@ def container_at_end(before: ContainerView, after: ContainerView) -> str:
     if state and before.state in {ContainerState.STARTING, ContainerState.STOPPING}:
         state = f"was {state}"
     crashed = after.crashed_since(before)
-    crashes = f"crashed when stopped: {_names(crashed)}" if crashed else ""
+    crashes = f"crashed when stopped: {node_names(crashed)}" if crashed else ""
     stopped = stop_problem(after.process) if before.process.pid else ""
     return "; ".join(each for each in (state, crashes, stopped) if each)
 
@@ -290,22 +252,3 @@ def stop_problem(process: ProcessEvent) -> str:
     if is_expected or process.kind is not ProcessEventKind.EXITED:
         return ""
     return f"stopped: {ending(process)}"
-
-
-def ending(process: ProcessEvent) -> str:
-    """Describe the end of a process."""
-    return str(Exit(code=process.exit_code, signal=process.signal))
-
-
-def _waited(since_ns: int, now_ns: int) -> str:
-    waited = now_ns - since_ns
-    return f" … {duration(waited)}" if since_ns and waited >= _SHOWN_AFTER_NS else ""
-
-
-def _names(nodes: tuple[NodeStateChanged, ...]) -> str:
-    more = f" and {len(nodes) - 1} more" if len(nodes) > 1 else ""
-    return f"{nodes[0].node}{more}"
-
-
-def _because(state: str, reason: str) -> str:
-    return f"{state}: {reason}" if reason else state
