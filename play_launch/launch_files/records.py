@@ -298,6 +298,21 @@ class LaunchFileError(UserError):
         self.failure = failure
 
 
+class Job(Struct, frozen=True, kw_only=True):
+    """What is to be evaluated, within `limit` seconds.
+
+    `only_arguments` reads the file without visiting it. Without `is_faster` launch does everything
+    as often as it does by itself.
+    """
+
+    path: str
+    arguments: tuple[tuple[str, str], ...] = ()
+    temporary: str
+    limit: float
+    is_faster: bool = True
+    only_arguments: bool = False
+
+
 class _Envelope(Struct):
     format: int
     outcome: Description | Failure

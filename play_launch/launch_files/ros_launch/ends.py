@@ -1,46 +1,97 @@
-"""The ends of launch that are replaced: starting processes and notifying handlers of events."""
+"""Visits a description as `launch.LaunchService` does, with its ends replaced: nothing is started.
+
+What would be started becomes a record, what would be emitted an event that is followed later.
+"""
 
 from __future__ import annotations
 
 import functools
 import re
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final
 
 import launch
 import launch.actions
 import launch.substitutions
 import launch_ros.actions
 import launch_ros.ros_adapters
-from launch.event_handlers import OnIncludeLaunchDescription, OnProcessExit
+from launch import LaunchDescriptionEntity
+from launch.actions import IncludeLaunchDescription
+from launch.event_handlers import OnProcessExit
 from launch.utilities import perform_substitutions, type_utils
 
 from play_launch.launch_files.records import Event
-from play_launch.launch_files.ros_launch.causes import follow_an_exit
-from play_launch.launch_files.ros_launch.composables import Composables
-from play_launch.launch_files.ros_launch.processes import record_process
+from play_launch.launch_files.ros_launch.units import Composables, record_process
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.launch_files.ros_launch.happenings import Happenings
+    from play_launch.launch_files.ros_launch.events import EventSimulation
     from play_launch.launch_files.ros_launch.scene import Scene
 
 
-def install(scene: Scene, happenings: Happenings) -> None:
-    """Replace them, for this process."""
-    _processes(scene, happenings)
+_DEEPEST: Final = 50
+"""How deep includes are nested; a file that includes itself has no end."""
+
+
+class Visitor:
+    """Visits depth first, and knows where it is."""
+
+    events: EventSimulation
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+
+    def visit(self, entity: Any) -> None:
+        """Visit an entity and what it yields."""
+        if not isinstance(entity, LaunchDescriptionEntity):
+            raise TypeError(f"{entity!r}, where a part of a description is expected")
+        places = self._scene.places
+        place = places.of_part(entity)
+        is_include = isinstance(entity, IncludeLaunchDescription) and bool(place.file)
+        before, self.events.current_part = self.events.current_part, entity
+        visited, places.visited = places.visited, place if place.file else places.visited
+        if is_include:
+            if len(places.includes) >= _DEEPEST:
+                raise RuntimeError(f"includes are nested deeper than {_DEEPEST}")
+            places.includes.append(place)
+            self._scene.passed.append({str(name) for name in _names(entity)})
+        try:
+            for below in entity.visit(self._scene.context) or ():
+                self.visit(below)
+        except BaseException as error:
+            places.annotate(error, place)
+            raise
+        finally:
+            self.events.current_part = before
+            places.visited = visited
+            if is_include:
+                places.includes.pop()
+                self._scene.passed.pop()
+
+
+def _names(include: Any) -> list[str]:
+    return [
+        "".join(getattr(part, "text", "") for part in name) if isinstance(name, list) else name
+        for name, _ in include.launch_arguments
+    ]
+
+
+def install(scene: Scene, events: EventSimulation) -> None:
+    """Replace the ends of launch, for this process."""
+    _processes(scene, events)
     _composables(scene)
     _lifecycle_nodes()
-    _timers(scene, happenings)
-    _events(scene, happenings)
+    _timers(scene, events)
+    _events(scene, events)
     _arguments(scene)
     _what_needs_a_run(scene)
     _what_is_done_later(scene)
     _anonymous_names(scene)
 
 
-def _processes(scene: Scene, happenings: Happenings) -> None:
+def _processes(scene: Scene, events: EventSimulation) -> None:
     construct = launch.actions.ExecuteLocal.__init__
 
     def __init__(self: Any, **named: Any) -> None:  # noqa: N807
@@ -63,16 +114,12 @@ def _processes(scene: Scene, happenings: Happenings) -> None:
         executed.add(id(self))
         process = record_process(scene, self)
         scene.add(process)
-        happenings.executed(self, process)
+        events.executed(self, process)
         on_exit = self._ExecuteLocal__on_exit
         if on_exit is not None:
             context.register_event_handler(OnProcessExit(target_action=self, on_exit=on_exit))
 
-    def get_asyncio_future(self: Any) -> Any:
-        return happenings.completion(self)
-
     _replace(launch.actions.ExecuteLocal, "execute", execute)
-    _replace(launch.actions.ExecuteLocal, "get_asyncio_future", get_asyncio_future)
 
     write = launch_ros.actions.Node._create_params_file_from_dict  # noqa: SLF001
 
@@ -104,7 +151,7 @@ def _lifecycle_nodes() -> None:
     _replace(launch_ros.actions.LifecycleNode, "execute", execute)
 
 
-def _timers(scene: Scene, happenings: Happenings) -> None:
+def _timers(scene: Scene, events: EventSimulation) -> None:
     def execute(self: Any, context: Any) -> None:
         seconds = type_utils.perform_typed_substitution(context, self.period, float)
         self._TimerAction__context_locals = dict(context.get_locals_as_dict())
@@ -114,40 +161,36 @@ def _timers(scene: Scene, happenings: Happenings) -> None:
         if not type_utils.perform_typed_substitution(context, cancels, bool):
             what = "cancel_on_shutdown: nothing is started any more while the system is shut down"
             scene.lost(self, what, is_note=True)
-        happenings.timed(self, seconds)
-
-    def get_asyncio_future(self: Any) -> Any:
-        return happenings.completion(self)
+        events.timed(self, seconds)
 
     for kind in (launch.actions.TimerAction, launch_ros.actions.ROSTimer):
         _replace(kind, "execute", execute)
-        _replace(kind, "get_asyncio_future", get_asyncio_future)
 
 
-def _events(scene: Scene, happenings: Happenings) -> None:
+def _events(scene: Scene, events: EventSimulation) -> None:
     def emit_event_sync(self: Any, event: Any) -> None:  # noqa: ARG001
-        happenings.post(event)
+        events.post(event)
 
     async def emit_event(self: Any, event: Any) -> None:  # noqa: ARG001
-        happenings.post(event)
+        events.post(event)
 
     register = launch.LaunchContext.register_event_handler
 
     def register_event_handler(self: Any, event_handler: Any, append: bool = False) -> None:
-        register(self, event_handler, append=append)
-        happenings.registered(event_handler)
+        if events.registers(event_handler):
+            register(self, event_handler, append=append)
 
     unregister = launch.actions.UnregisterEventHandler.execute
 
-    def execute(self: Any, context: Any) -> Any:
-        if not scene.causes.now:
-            return unregister(self, context)
-        when = scene.described(scene.causes.now)
-        scene.lost(self, f"UnregisterEventHandler when {when}: the handler stays")
-        return None
+    def execute(self: Any, context: Any) -> None:
+        if scene.causes.now:
+            when = scene.described(scene.causes.now)
+            scene.lost(self, f"UnregisterEventHandler when {when}: the handler stays")
+        else:
+            # One that is not followed was never registered.
+            with suppress(ValueError):
+                unregister(self, context)
 
-    # LaunchService has this one from the start.
-    scene.context.register_event_handler(OnIncludeLaunchDescription())
     _replace(launch.actions.UnregisterEventHandler, "execute", execute)
     _replace(launch.LaunchContext, "emit_event_sync", emit_event_sync)
     _replace(launch.LaunchContext, "emit_event", emit_event)
@@ -196,7 +239,7 @@ def _what_needs_a_run(scene: Scene) -> None:
 
 
 def _what_is_done_later(scene: Scene) -> None:
-    """Keep quiet what is logged later, and report functions that are called already now."""
+    """Report what is logged and called later: nothing runs yet."""
     log = launch.actions.LogInfo.execute
     call = launch.actions.OpaqueFunction.execute
 
@@ -209,15 +252,12 @@ def _what_is_done_later(scene: Scene) -> None:
     def execute_function(self: Any, context: Any) -> Any:
         follows_event = any(each.event is not Event.DELAY for each in scene.causes.now)
         # launch has functions of its own, which are made in no launch file.
-        if follows_event and scene.places.of_part(self).file:
-            when = scene.described(scene.causes.now)
-            if follow_an_exit(scene.causes.now):
-                # It may clean up, or release brakes, and nothing runs yet.
-                scene.lost(self, f"OpaqueFunction when {when}: it is not called")
-                return None
-            what = f"OpaqueFunction: it was called by the evaluation, not when {when}"
-            scene.lost(self, what, is_note=True)
-        return call(self, context)
+        if not follows_event or not scene.places.of_part(self).file:
+            return call(self, context)
+        # It may release brakes.
+        when = scene.described(scene.causes.now)
+        scene.lost(self, f"OpaqueFunction when {when}: it is not called")
+        return None
 
     _replace(launch.actions.LogInfo, "execute", execute_log)
     _replace(launch.actions.OpaqueFunction, "execute", execute_function)

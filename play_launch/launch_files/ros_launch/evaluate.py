@@ -10,6 +10,7 @@ import asyncio
 import os
 import select
 import sys
+import tempfile
 import time
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,10 +20,15 @@ import msgspec
 
 from play_launch.config.substitutions import ament_prefixes
 from play_launch.container.ros import spawn_guard
-from play_launch.launch_files.records import Description, Failure, LaunchFileError, Origin, Place
+from play_launch.launch_files.records import (
+    Description,
+    Failure,
+    Job,
+    LaunchFileError,
+    Origin,
+    Place,
+)
 from play_launch.launch_files.records import decode as decode_records
-from play_launch.launch_files.ros_launch.job import SIZE, Job
-from play_launch.launch_files.ros_launch.temporary import temporary_folder
 from play_launch.process.guard import SessionGuard
 
 if TYPE_CHECKING:
@@ -69,7 +75,8 @@ def evaluate(
         what = f"{package}, which evaluates launch files, is not installed here"
         fix = "source a ROS with launch_ros, or run `play-launch dump` where it is"
         raise LaunchFileError(Failure(f"{what}; {fix}", Origin(Place(str(path)))))
-    with temporary_folder() as temporary:
+    prefix = "play_launch_evaluation_"
+    with tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True) as temporary:
         job = Job(
             path=str(path.absolute()),
             arguments=tuple(arguments.items()),
@@ -137,11 +144,9 @@ def _read(descriptor: int, limit: float) -> bytes | None:
             return None
         chunk = os.read(descriptor, _CHUNK)
         content += chunk
-        is_whole = (
-            len(content) >= SIZE.size and len(content) >= SIZE.size + SIZE.unpack_from(content)[0]
-        )
-        if is_whole or not chunk:
-            return bytes(content[SIZE.size :])
+        # What the launch file has forked may hold the pipe, so that it does not end.
+        if chunk.endswith(b"\n") or not chunk:
+            return bytes(content)
 
 
 async def _end(guard: SessionGuard, pid: int) -> str:

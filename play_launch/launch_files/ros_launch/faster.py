@@ -20,8 +20,6 @@ _PLAIN: Final = re.compile(r"[^$]+")
 _PLAIN_ARGUMENT: Final = re.compile(r"[^$() ]+")
 _REMEMBERED: Final = 256
 """How many texts in YAML are kept with what they mean."""
-_MOST_VALUES: Final = 1_000_000
-"""In one text in YAML, with all that its aliases stand for."""
 
 
 def install(*, only_arguments: bool) -> None:
@@ -131,10 +129,7 @@ def _read_yaml_by_libyaml() -> None:
 
     @functools.lru_cache(_REMEMBERED)
     def loaded(text: str) -> bytes:
-        found = load(text)
-        if "&" in text and "*" in text:
-            refuse_many_aliases(found)
-        return pickle.dumps(found)
+        return pickle.dumps(load(text))
 
     def safe_load(stream: Any) -> Any:
         text = stream.read() if isinstance(stream, io.TextIOWrapper) else stream
@@ -143,40 +138,12 @@ def _read_yaml_by_libyaml() -> None:
         try:
             # A copy for each caller, which may change it.
             return pickle.loads(loaded(text))  # noqa: S301 - ours
-        except TooManyAliasesError as error:
-            name = getattr(stream, "name", "a text")
-            raise RuntimeError(f"{name} has {error}") from None
         except Exception:  # noqa: BLE001 - errors are those of PyYAML, with the name of the file
             if text is not stream:
                 stream.seek(0)
             return load(stream)
 
     yaml.safe_load = safe_load
-
-
-class TooManyAliasesError(Exception):
-    """What a text in YAML stands for is too large to be evaluated."""
-
-
-def refuse_many_aliases(value: object) -> None:
-    """Raise TooManyAliasesError where values that share parts are large once they are written out.
-
-    launch copies them, compares them and puts them into messages.
-    """
-    sizes: dict[int, int] = {}
-
-    def size(part: object) -> int:
-        if not isinstance(part, dict | list):
-            return 1
-        if id(part) not in sizes:
-            # A part that holds itself has no end.
-            sizes[id(part)] = _MOST_VALUES + 1
-            below = part.values() if isinstance(part, dict) else part
-            sizes[id(part)] = 1 + sum(map(size, below))
-        return sizes[id(part)]
-
-    if size(value) > _MOST_VALUES:
-        raise TooManyAliasesError(f"aliases that stand for more than {_MOST_VALUES} values")
 
 
 def _write_yaml_by_libyaml() -> None:

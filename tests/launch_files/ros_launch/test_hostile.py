@@ -12,10 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from play_launch.launch_files.records import LaunchFileError
-from play_launch.launch_files.ros_launch.evaluate import evaluate
-from play_launch.launch_files.ros_launch.temporary import temporary_folder
-from tests.launch_files.ros_launch.prefix import LIMIT, Prefix, needs_launch, prefix, processes
+from tests.launch_files.ros_launch.prefix import Prefix, needs_launch, prefix
 from tests.launch_files.ros_launch.test_errors import python
 from tests.support.waiting import until
 
@@ -29,16 +26,6 @@ def test_python_that_ends_its_process(prefix: Prefix) -> None:
     error = prefix.error("b.launch.py", "import os\nos.kill(os.getpid(), 11)\n")
     assert error.startswith("b.launch.py: it ends its own evaluation: ")
     assert "SIGSEGV" in error
-
-
-@needs_launch
-def test_aliases_that_stand_for_very_much(prefix: Prefix) -> None:
-    lines = ["launch:", "- let: {name: x, value: &a [l, l, l, l, l, l, l, l, l]}"]
-    for before, name in zip("abcdefgh", "bcdefghi", strict=True):
-        shared = ", ".join([f"*{before}"] * 9)
-        lines.append(f"- let: {{name: x, value: &{name} [{shared}]}}")
-    with pytest.raises(LaunchFileError, match="has aliases that stand for more than"):
-        prefix.evaluate("a.launch.yaml", "\n".join(lines))
 
 
 @needs_launch
@@ -147,21 +134,6 @@ def test_the_evaluation_ends_with_who_asked(prefix: Prefix, tmp_path: Path) -> N
     asking.send_signal(signal.SIGKILL)
     asking.wait()
     until(lambda: not psutil.pid_exists(evaluating), "its end")
-    # The next evaluation removes what nobody could.
-    (left,) = (tmp_path / "temporary").iterdir()
-    os.utime(left, (0, 0))
-    with pytest.raises(LaunchFileError):
-        evaluate(Path("/nowhere.launch.py"), {}, limit=LIMIT)
-    assert list((tmp_path / "temporary").iterdir()) == []
-
-
-def test_a_folder_that_is_in_use_stays(prefix: Prefix, tmp_path: Path) -> None:
-    with temporary_folder() as used:
-        os.utime(used, (0, 0))
-        with temporary_folder() as other:
-            assert Path(used).exists()
-            assert used != other
-    assert list((tmp_path / "temporary").iterdir()) == []
 
 
 def test_a_file_that_closes_its_output(prefix: Prefix) -> None:
@@ -175,29 +147,6 @@ def generate_launch_description():
     assert prefix.evaluate("a.launch.py", text).units == []
 
 
-def test_an_alarm_of_the_launch_file_is_not_ours(prefix: Prefix) -> None:
-    text = python("""
-import os, signal
-os.kill(os.getpid(), signal.SIGALRM)
-def generate_launch_description():
-    return LaunchDescription([])
-""")
-    assert prefix.evaluate("a.launch.py", text).units == []
-
-
-def test_a_file_that_forks_is_evaluated_once(prefix: Prefix) -> None:
-    text = python("""
-import os
-pid = os.fork()
-if pid:
-    os.waitpid(pid, 0)
-def generate_launch_description():
-    return LaunchDescription([ExecuteProcess(cmd=["parent" if pid else "child"])])
-""")
-    (process,) = processes(prefix.evaluate("a.launch.py", text))
-    assert process.command == ["parent"]
-
-
 def test_much_is_answered(prefix: Prefix) -> None:
     """More than a pipe holds."""
     text = python("""
@@ -205,14 +154,6 @@ def generate_launch_description():
     return LaunchDescription([ExecuteProcess(cmd=["echo", "x" * 1000]) for _ in range(1000)])
 """)
     assert len(prefix.evaluate("a.launch.py", text).units) == 1000
-
-
-def test_memory_without_end(prefix: Prefix) -> None:
-    """Memory that is never written to, so that the test takes none."""
-    text = "held = []\nwhile True:\n    held.append(bytes(2**28))\n"
-    error = prefix.error("a.launch.py", text)
-    assert error.startswith("a.launch.py:3: it takes more than ")
-    assert error.endswith(" GiB of memory")
 
 
 def test_what_calls_itself(prefix: Prefix) -> None:
@@ -252,19 +193,3 @@ def generate_launch_description():
     found = prefix.evaluate("a.launch.py", text)
     assert len(found.units) == 6000
     assert found.losses == []
-
-
-def test_a_process_after_another_without_end(prefix: Prefix) -> None:
-    text = python("""
-from launch.event_handlers import OnProcessStart
-def another(*_):
-    process = ExecuteProcess(cmd=["true"])
-    handler = OnProcessStart(target_action=process, on_start=another)
-    return [RegisterEventHandler(handler), process]
-def generate_launch_description():
-    return LaunchDescription(another())
-""")
-    found = prefix.evaluate("a.launch.py", text)
-    said = [each for each in found.losses if not each.is_note]
-    assert any(each.what.startswith("what follows 100 events") for each in said)
-    assert all("a.launch.py:" in each.where for each in said)

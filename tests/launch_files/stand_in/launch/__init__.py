@@ -54,9 +54,6 @@ class LaunchContext:
     def unregister_event_handler(self, event_handler: Any) -> None:
         self._event_handlers.remove(event_handler)
 
-    def would_handle_event(self, event: Any) -> bool:
-        return any(handler.matches(event) for handler in self._event_handlers)
-
     def emit_event_sync(self, event: Any) -> None:
         raise NotImplementedError
 

@@ -29,22 +29,8 @@ class Action(LaunchDescriptionEntity):
     def describe(self) -> str:
         return type(self).__name__
 
-    def get_asyncio_future(self) -> Any:
-        return None
-
     def visit(self, context: Any) -> Any:
-        from .events import ExecutionComplete
-
-        try:
-            return self.execute(context)
-        finally:
-            event = ExecutionComplete(self)
-            if context.would_handle_event(event):
-                future = self.get_asyncio_future()
-                if future is None:
-                    context.emit_event_sync(event)
-                else:
-                    future.add_done_callback(lambda _: context.emit_event_sync(event))
+        return self.execute(context)
 
     def execute(self, context: Any) -> Any:
         raise NotImplementedError

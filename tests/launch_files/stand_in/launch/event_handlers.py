@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from .events import ExecutionComplete, IncludeLaunchDescription, Shutdown
 from .events.process import ProcessExited, ProcessStarted
 
 __all__ = [
     "EventHandler",
     "OnExecutionComplete",
-    "OnIncludeLaunchDescription",
     "OnProcessExit",
     "OnProcessIO",
     "OnProcessStart",
@@ -47,40 +45,21 @@ class OnProcessStart(OnActionEventBase):
         super().__init__(ProcessStarted, target_action, on_start)
 
 
-class OnExecutionComplete(OnActionEventBase):
-    def __init__(self, *, target_action: Any = None, on_completion: Any) -> None:
-        super().__init__(ExecutionComplete, target_action, on_completion)
-
-
-class EventHandler:
-    def __init__(self, *, matcher: Any, entities: Any) -> None:
-        self.matches = matcher
-        self.entities = entities
-
-    def handle(self, event: Any, context: Any) -> Any:
-        context.extend_locals({"event": event})
-        return self.entities
-
-
-class OnIncludeLaunchDescription:
-    def matches(self, event: Any) -> bool:
-        return isinstance(event, IncludeLaunchDescription)
-
-    def handle(self, event: Any, context: Any) -> Any:
-        return event.launch_description
-
-
-class OnProcessIO:
+class OnExecutionComplete:
     def __init__(self, **named: Any) -> None:
         self.named = named
 
-    def matches(self, event: Any) -> bool:
-        return False
+    def handle(self, event: Any, context: Any) -> Any:
+        raise NotImplementedError
 
 
-class OnShutdown:
-    def __init__(self, *, on_shutdown: Any) -> None:
-        self.on_shutdown = on_shutdown
+class EventHandler(OnExecutionComplete):
+    pass
 
-    def matches(self, event: Any) -> bool:
-        return isinstance(event, Shutdown)
+
+class OnProcessIO(OnExecutionComplete):
+    pass
+
+
+class OnShutdown(OnExecutionComplete):
+    pass

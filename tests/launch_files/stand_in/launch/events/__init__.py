@@ -21,15 +21,5 @@ class IncludeLaunchDescription(Event):
         self.launch_description = launch_description
 
 
-class TimerEvent(Event):
-    def __init__(self, *, timer_action: Any) -> None:
-        self.timer_action = timer_action
-
-
-class ExecutionComplete(Event):
-    def __init__(self, action: Any) -> None:
-        self.action = action
-
-
 def matches_action(action: Any) -> Any:
     return lambda other: other is action

@@ -24,20 +24,6 @@ class ProcessExited(_ProcessEvent):
         self.returncode = returncode
 
 
-class _ProcessIO(_ProcessEvent):
-    def __init__(self, *, text: bytes, **details: Any) -> None:
-        super().__init__(**details)
-        self.text = text
-
-
-class ProcessStdout(_ProcessIO):
-    pass
-
-
-class ProcessStderr(_ProcessIO):
-    pass
-
-
 class _TargetedEvent(Event):
     def __init__(self, *, process_matcher: Any, **details: Any) -> None:
         self.process_matcher = process_matcher

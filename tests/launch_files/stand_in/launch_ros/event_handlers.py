@@ -1,0 +1,7 @@
+"""Handlers of states."""
+
+from __future__ import annotations
+
+
+class OnStateTransition:
+    pass
