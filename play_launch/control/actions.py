@@ -248,19 +248,13 @@ class Actions:
                 changed.clear()
 
     def _begin(self, action: OperatorAction, target: Target) -> None:
-        match action, target:
-            case OperatorAction.START, str():
+        match action:
+            case OperatorAction.START | OperatorAction.LOAD:
                 self._system.start(target)
-            case OperatorAction.STOP, str():
+            case OperatorAction.STOP | OperatorAction.UNLOAD:
                 self._system.stop(target, _REASON)
-            case OperatorAction.RESTART, str():
+            case OperatorAction.RESTART | OperatorAction.RELOAD:
                 self._system.restart(target, _REASON)
-            case OperatorAction.LOAD, NodeKey():
-                self._system.load(target)
-            case OperatorAction.UNLOAD, NodeKey():
-                self._system.unload(target)
-            case OperatorAction.RELOAD, NodeKey():
-                self._system.reload(target)
             case _:
                 raise AssertionError(action, target)
 

@@ -1,14 +1,17 @@
-"""Command line, environment and parameter file of each process of a system.
+"""Command line, environment, parameter file and control group of each process of a system.
 
-Nothing is started here. Programs are looked up in the file system; all else follows from the
-arguments.
+Nothing is started here.
 """
 
 from __future__ import annotations
 
+import logging
 import shutil
 import tempfile
+import time
 from collections.abc import Mapping  # noqa: TC003 - msgspec evaluates the annotations
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -37,10 +40,14 @@ from play_launch.container.environment import (
     with_safe_waits,
 )
 from play_launch.container.ros import RosInstallation  # noqa: TC001 - as above
+from play_launch.process.cgroups.group import Group, GroupError
+from play_launch.process.cgroups.session import SessionGroups
+from play_launch.process.cgroups.usage import usage_of
 from play_launch.ros.fastdds.middleware import asks_for_fastdds
+from play_launch.supervisor.events import SubjectKind
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from play_launch.config.model import (
         ComposableNodeConfig,
@@ -48,9 +55,14 @@ if TYPE_CHECKING:
         ParameterSection,
         ReplayConfig,
     )
+    from play_launch.process.guard import SessionGuard
+    from play_launch.supervisor.events import GroupSample
 
     Config = ContainerConfig | ProcessConfig
     Key = tuple[str, tuple[ParameterConfig, ...], tuple[ParameterSection, ...]]
+
+
+_log = logging.getLogger(__name__)
 
 
 class StartError(Exception):
@@ -244,6 +256,68 @@ class ParameterFiles:
 def _key(config: Config) -> Key:
     own = config.parameters if isinstance(config, ProcessConfig) else ()
     return config.full_name, own, config.process_parameters
+
+
+class Groups(SessionGroups):
+    """Control groups of the session of this process; there are none yet."""
+
+    def __init__(self, publish: Callable[[GroupSample], None]) -> None:
+        """``publish`` takes the last numbers of each."""
+        super().__init__()
+        self._publish = publish
+        self._entrusted: tuple[SessionGuard, int] | None = None
+
+    def entrust(self, guard: SessionGuard) -> None:
+        """Have the guard remove them if the supervisor dies; once for each guard and group."""
+        folder = self.folder
+        if folder is None:
+            return
+        entrusted = guard, Group(folder).number  # it may have been removed, and made anew
+        if entrusted != self._entrusted:
+            self._entrusted = entrusted
+            with suppress(OSError):  # removed by another process
+                guard.entrust(folder)
+
+    def prepare(self, config: ReplayConfig) -> None:
+        """Have groups, if the configuration asks for any; raises GroupError where it has to."""
+        limits = [
+            *(each.resources.group for each in config.containers),
+            *(each.resources.group for each in config.nodes),
+            *(node.resources.group for each in config.containers for node in each.composable_nodes),
+        ]
+        is_enabled = config.cgroups.enabled
+        if any(limits) if is_enabled is None else is_enabled:
+            controllers = (each.controllers() for each in limits)
+            self.begin(config.cgroups, frozenset().union(*controllers))
+
+    def of(self, config: Config) -> tuple[Group | None, tuple[str, ...]]:
+        """Make that of a process; gives it and what the process asks for. Raises StartError."""
+        kind, has_nodes = SubjectKind.PROCESS, False
+        if isinstance(config, ContainerConfig):
+            kind, has_nodes = SubjectKind.CONTAINER, config.container_type.is_isolated
+        name, limits = config.full_name, config.resources.group
+        used = partial(self._used, kind, name)
+        try:
+            made = self.member(name, limits, has_nodes=has_nodes, on_end=used)
+        except GroupError as error:
+            raise StartError(str(error), permanent=True) from error
+        return (None, ()) if made is None else (made[0], (made[1],))
+
+    def enter(self, config: ComposableNodeConfig, attempt: int) -> tuple[str, ...]:
+        """Make that of a node; gives what its process asks for. Raises StartError."""
+        key, limits = config.key, config.resources.group
+        used = partial(self._used, SubjectKind.NODE, str(key))
+        try:
+            entry = self.node(key.container, key.name, attempt, limits, used)
+        except GroupError as error:
+            raise StartError(str(error), permanent=True) from error
+        return () if entry is None else (entry,)
+
+    def _used(self, kind: SubjectKind, key: str, group: Group) -> None:
+        """Report what a group used all in all."""
+        usage = usage_of(group)
+        _log.info("the control group %s used %s", group.path.name, usage)
+        self._publish(usage.sample(time.time_ns(), kind, key, group.number))
 
 
 def allocator_for(config: ReplayConfig) -> Allocator:

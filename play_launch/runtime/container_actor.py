@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Final
 import anyio
 from msgspec.structs import replace
 
-from play_launch.config.model import ContainerConfig
 from play_launch.container.channel import ChannelClosedError, ControlError, VersionMismatchError
 from play_launch.container.codec import EncodeError
-from play_launch.container.messages import Cancel, Shutdown, Status, Unload, lock_holder
 from play_launch.container.messages import Hello as HelloMessage
+from play_launch.container.messages import Shutdown, Status, lock_holder
 from play_launch.runtime.commands import StartError
 from play_launch.runtime.container_messages import (
-    Asked,
     Queries,
     description,
     inputs_of,
@@ -36,6 +34,7 @@ from play_launch.supervisor.world import Hello, Phase, is_wanted
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from play_launch.config.model import ContainerConfig
     from play_launch.config.node_key import NodeKey
     from play_launch.container.messages import Incoming, Outgoing
     from play_launch.runtime.launcher import ControlLink, ManagedProcess
@@ -71,8 +70,8 @@ class ContainerActor(ProcessActor):
     @property
     def config(self) -> ContainerConfig:
         """Of its unit."""
-        config = super().config
-        assert isinstance(config, ContainerConfig)
+        config = self._system.world.processes[self.name].container
+        assert config is not None
         return config
 
     # Its process.
@@ -179,96 +178,74 @@ class ContainerActor(ProcessActor):
         if isinstance(message, HelloMessage):
             _log.warning("%s said hello again", self.name)
             return
-        if isinstance(message, Status) and message.dropped_frames > self._dropped:
-            self._query_all(message.dropped_frames)
-        if isinstance(message, Status) and self._watch.accept(message):
-            silences = {each.attempt: each.silence_ns / 1e9 for each in message.nodes}
-            counts = (message.leaked, message.unquiesced)
-            is_well = not (silences or message.dead_locks or all(counts))
-            if is_well and self._well_with == counts:
-                self._system.wake_by(self._watch.due)
-                return
-            self._well_with = counts if is_well else None
-            locks = message.dead_locks
-            holder = lock_holder(locks[0]) if locks else 0
-            health = HealthReported(self.name, start, *counts, locks, silences, holder)
-            self._system.post(health)
+        if isinstance(message, Status) and self._on_status(message, start):
             return
         if isinstance(message, ComponentEvent):
             self._system.publisher.publish(message)
         nodes = {node.attempt: node for node in self._system.world.nodes_of(self.name)}
         for said in inputs_of(message, self.config, start, self._queries, nodes):
-            self._system.post(self._with_group(said))
-            self._check_node(said)
+            # The kernel may have killed it, which only its control group knows.
+            ended = said.attempt in nodes and _is_its_end(nodes[said.attempt], said.said)
+            why = self._system.launcher.groups.leave(said.attempt) if ended else ""
+            self._system.post(replace(said, reason=why, cause=Cause.OUT_OF_MEMORY) if why else said)
+            if said.said in {NodeFact.LOADED, NodeFact.STATUS_LOADED} and said.attempt in nodes:
+                self._check_node(nodes[said.attempt].key)
 
-    def _query_all(self, dropped: int) -> None:
-        """Query all nodes: one of the dropped frames may have been the crash of a node."""
-        self._dropped = dropped
-        text = "%s has dropped %d frames so far: its outgoing queue was full"
-        _log.warning(text, self.name, dropped)
-        nodes = self._system.world.nodes_of(self.name)
-        self.query([(n.key, n.attempt, n.unique_id) for n in nodes if n.state not in IDLE])
+    def _on_status(self, status: Status, start: int) -> bool:
+        """Read what an answer tells of the container; whether it is all that it tells."""
+        if status.dropped_frames > self._dropped:
+            # One of the frames may have been the crash of a node.
+            self._dropped = status.dropped_frames
+            text = "%s has dropped %d frames so far: its outgoing queue was full"
+            _log.warning(text, self.name, self._dropped)
+            nodes = self._system.world.nodes_of(self.name)
+            self.query([(n.key, n.attempt, n.unique_id) for n in nodes if n.state not in IDLE])
+        if not self._watch.accept(status):
+            return False
+        silences = {each.attempt: each.silence_ns / 1e9 for each in status.nodes}
+        counts, locks = (status.leaked, status.unquiesced), status.dead_locks
+        is_well = not (silences or locks or all(counts))
+        if is_well and self._well_with == counts:
+            self._system.wake_by(self._watch.due)
+            return True
+        self._well_with = counts if is_well else None
+        holder = lock_holder(locks[0]) if locks else 0
+        self._system.post(HealthReported(self.name, start, *counts, locks, silences, holder))
+        return True
 
-    def _with_group(self, said: NodeReported) -> NodeReported:
-        """Leave the control group of a node that exited; why the kernel killed it, if it did."""
-        for node in self._system.world.nodes_of(self.name):
-            if node.attempt == said.attempt and _is_its_end(node, said.said):
-                why = self._system.launcher.groups.leave(said.attempt)
-                return replace(said, reason=why, cause=Cause.OUT_OF_MEMORY) if why else said
-        return said
-
-    def _check_node(self, said: NodeReported) -> None:
+    def _check_node(self, key: NodeKey) -> None:
         """Report what a node that is loaded did not get of its resources."""
-        if said.said not in {NodeFact.LOADED, NodeFact.STATUS_LOADED}:
-            return
-        for node in self._system.world.nodes_of(self.name):
-            if node.attempt == said.attempt and node.state is NodeState.LOADED:
-                name, publisher = node.key.name, self._system.publisher
-                report_shortfalls(name, node.config.resources, node.pid, publisher)
-                self._system.launcher.groups.check(name, node.pid)
+        node = self._system.world.nodes.get(key)
+        if node is not None and node.state is NodeState.LOADED:
+            report_shortfalls(key.name, node.config.resources, node.pid, self._system.publisher)
+            self._system.launcher.groups.check(key.name, node.pid)
 
     # Requests.
 
     def load(self, key: NodeKey, attempt: int) -> None:
         """Request a load."""
-        config = self._system.world.nodes[key].config
-        reason = ""
+        config, groups = self._system.world.nodes[key].config, self._system.launcher.groups
         try:
-            entry = self._system.launcher.groups.enter(config, attempt)
-            self._send(load_request(config, attempt, entry))
+            self.send(load_request(config, attempt, groups.enter(config, attempt)))
         except (StartError, EncodeError) as error:
-            reason = str(error)
-        if reason:
-            self._system.launcher.groups.leave(attempt)
+            groups.leave(attempt)
+            rejected, reason = NodeFact.REJECTED, str(error)
             self._system.post(
                 NodeReported(
-                    unit=self.name,
-                    start=self._start,
-                    said=NodeFact.REJECTED,
-                    attempt=attempt,
-                    reason=reason,
+                    unit=self.name, start=self._start, said=rejected, attempt=attempt, reason=reason
                 )
             )
 
-    def cancel(self, unique_id: int) -> None:
-        """Request that a load is given up."""
-        self._send(Cancel(unique_id=unique_id))
-
-    def unload(self, unique_id: int) -> None:
-        """Request that a node is unloaded."""
-        self._send(Unload(unique_id=unique_id))
-
     def query(self, about: Sequence[tuple[NodeKey, int, int]]) -> None:
         """Query it about nodes."""
-        self._send(self._queries.put(tuple(Asked(*each) for each in about)))
+        self.send(self._queries.put(about))
 
-    def _send(self, message: Outgoing) -> None:
-        if self._link is None:
-            return
+    def send(self, message: Outgoing) -> None:
+        """Send a request; one that is not sent is noticed by what reads the channel."""
         try:
-            self._link.send(message)
+            if self._link is not None:
+                self._link.send(message)
         except ControlError as error:
-            # What reads the channel notices it as well and deals with the container.
             _log.debug("%s: a request was not sent: %s", self.name, error)
 
     def probe(self, nodes: Sequence[NodeKey]) -> None:

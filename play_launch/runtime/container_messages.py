@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Final, NamedTuple, assert_never
+from functools import partial
+from typing import TYPE_CHECKING, Final, assert_never
 
 from msgspec.structs import replace
 
@@ -28,13 +29,15 @@ from play_launch.supervisor.node_life import NodeFact
 from play_launch.supervisor.outcome import Cause
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from play_launch.config.model import ComposableNodeConfig, ContainerConfig
     from play_launch.config.node_key import NodeKey
     from play_launch.container.messages import Hello, NodeStatus
     from play_launch.supervisor.world import Node
 
+    Asked = tuple[NodeKey, int, int]
+    """A node that a query is about: key, attempt, and unique_id, which is 0 while unknown."""
 
 _log = logging.getLogger(__name__)
 
@@ -48,15 +51,6 @@ _SAID: Final = {
 }
 
 
-class Asked(NamedTuple):
-    """A node that a query is about."""
-
-    key: NodeKey
-    attempt: int
-    unique_id: int
-    """0 while the container has not reported it."""
-
-
 class Queries:
     """Queries to one container that have no answer yet."""
 
@@ -64,13 +58,13 @@ class Queries:
         """``container`` is its full name."""
         self._container = container
         self._query_id = 0
-        self._open: dict[int, tuple[Asked, ...]] = {}
+        self._open: dict[int, Sequence[Asked]] = {}
 
     def clear(self) -> None:
         """Forget all queries: the container exited."""
         self._open.clear()
 
-    def put(self, asked: tuple[Asked, ...]) -> Query:
+    def put(self, asked: Sequence[Asked]) -> Query:
         """Make one query about all of these nodes."""
         if self._open:
             text = "%s has not answered %d question(s) about its nodes yet"
@@ -79,22 +73,21 @@ class Queries:
             del self._open[next(iter(self._open))]
         self._query_id += 1
         self._open[self._query_id] = asked
-        ids = tuple(each.unique_id for each in asked)
+        ids = tuple(unique_id for _, _, unique_id in asked)
         # Without ids it is about all nodes.
         return Query(query_id=self._query_id, unique_ids=ids if all(ids) else ())
 
-    def read(self, status: Status) -> Iterator[tuple[Asked, NodeFact, NodeStatus | None]]:
-        """Read an answer for each node that was asked about; the status is None for an unknown one.
+    def read(self, status: Status) -> Iterator[tuple[int, int, NodeStatus | None]]:
+        """Give attempt, unique_id and status of each queried node; None where it is unknown.
 
         A node whose unique_id is listed under another attempt is left out: that answers nothing.
         """
         by_attempt = {node.attempt: node for node in status.nodes}
         ids = {node.unique_id for node in status.nodes if node.unique_id}
-        for asked in self._open.pop(status.query_id, ()):
-            if node := by_attempt.get(asked.attempt):
-                yield asked, _SAID[node.state], node
-            elif asked.unique_id not in ids:
-                yield asked, NodeFact.STATUS_UNKNOWN, None
+        for _, attempt, unique_id in self._open.pop(status.query_id, ()):
+            node = by_attempt.get(attempt)
+            if node is not None or unique_id not in ids:
+                yield attempt, unique_id, node
 
 
 _FACT_OF_EVENT: Final = {
@@ -104,7 +97,6 @@ _FACT_OF_EVENT: Final = {
     ComponentEventKind.CRASHED: NodeFact.CRASHED,
     ComponentEventKind.LOADING: NodeFact.LOADING,
 }
-
 _FAILURES: Final = frozenset({ComponentEventKind.LOAD_FAILED, ComponentEventKind.CRASHED})
 
 
@@ -117,23 +109,17 @@ def inputs_of(
 ) -> Iterator[NodeReported]:
     """Read a message; ``nodes`` are those of the container by their latest attempt."""
     name = config.full_name
+    report = partial(NodeReported, unit=name, start=start)
     match message:
         case Accepted():
-            yield NodeReported(
-                unit=name,
-                start=start,
-                said=NodeFact.ACCEPTED,
-                attempt=message.attempt,
-                unique_id=message.unique_id,
-            )
+            attempt, unique_id = message.attempt, message.unique_id
+            yield report(said=NodeFact.ACCEPTED, attempt=attempt, unique_id=unique_id)
         case Rejected():
             is_known = any(node.unique_id == message.unique_id for node in nodes.values())
             if not message.attempt and not (message.unique_id and is_known):
                 _log.warning("%s rejected a request: %s", name, message.reason)
                 return
-            yield NodeReported(
-                unit=name,
-                start=start,
+            yield report(
                 said=NodeFact.REJECTED if message.attempt else NodeFact.UNLOAD_REJECTED,
                 attempt=message.attempt,
                 unique_id=message.unique_id,
@@ -141,18 +127,24 @@ def inputs_of(
             )
         case ComponentEvent():
             if message.attempt in nodes:
-                yield _of_event(message, name, start)
+                yield _of_event(message, report)
             elif message.attempt:
                 text = "%s: %s of old attempt %d is ignored"
                 _log.info(text, name, message.kind.name.lower(), message.attempt)
         case Status():
-            for asked, fact, listed in queries.read(message):
-                yield _of_answer(asked, fact, listed, config, start)
+            for attempt, unique_id, listed in queries.read(message):
+                said = report(
+                    said=NodeFact.STATUS_UNKNOWN,
+                    attempt=attempt,
+                    unique_id=unique_id,
+                    reason="the container does not know it",
+                )
+                yield said if listed is None else _of_answer(said, listed, config)
         case _:
             assert_never(message)
 
 
-def _of_event(event: ComponentEvent, container: str, start: int) -> NodeReported:
+def _of_event(event: ComponentEvent, report: Callable[..., NodeReported]) -> NodeReported:
     """Read an event of a container; the reason of a crash names its location."""
     reason = event.error_message
     if event.kind is ComponentEventKind.CRASHED:
@@ -160,9 +152,7 @@ def _of_event(event: ComponentEvent, container: str, start: int) -> NodeReported
         reason = f"{ending}: {reason}" if reason else ending
         if event.backtrace:
             reason += f" at {blamed_frame(event.backtrace)}"
-    return NodeReported(
-        unit=container,
-        start=start,
+    return report(
         said=_FACT_OF_EVENT[event.kind],
         attempt=event.attempt,
         unique_id=event.unique_id,
@@ -175,20 +165,8 @@ def _of_event(event: ComponentEvent, container: str, start: int) -> NodeReported
     )
 
 
-def _of_answer(
-    asked: Asked, fact: NodeFact, listed: NodeStatus | None, config: ContainerConfig, start: int
-) -> NodeReported:
+def _of_answer(said: NodeReported, listed: NodeStatus, config: ContainerConfig) -> NodeReported:
     """Read what the container reported of one of the nodes that a query was about."""
-    said = NodeReported(
-        unit=config.full_name,
-        start=start,
-        said=fact,
-        attempt=asked.attempt,
-        unique_id=asked.unique_id,
-        reason="the container does not know it",
-    )
-    if listed is None:
-        return said
     elapsed, cpu = listed.elapsed_ns / 1e9, listed.cpu_time_ns / 1e9
     reason = ""
     if listed.note:
@@ -198,6 +176,7 @@ def _of_answer(
         reason = f"{runs}, {cpu:.1f} s of it on CPU{_wait(listed, config)}"
     return replace(
         said,
+        said=_SAID[listed.state],
         unique_id=listed.unique_id,
         reason=reason,
         pid=listed.pid,

@@ -41,6 +41,7 @@ from play_launch.recording.facts import OURSELVES, package_version
 from play_launch.ros.fastdds.shared_memory import sweep_shared_memory
 from play_launch.ros.fastdds.sweep_command import sweep_command
 from play_launch.runtime.commands import (
+    Groups,
     Machine,
     ParameterFiles,
     StartError,
@@ -53,7 +54,6 @@ from play_launch.runtime.commands import (
     process_command,
     uses_fastdds,
 )
-from play_launch.runtime.groups import Groups
 from play_launch.runtime.probes import component_library
 
 if TYPE_CHECKING:
@@ -201,7 +201,7 @@ class NativeLauncher:
             uses_fastdds=is_fastdds,
             publish=publish,
         )
-        launcher.groups.begin(config)
+        launcher.groups.prepare(config)
         return launcher
 
     async def prepare(self, config: ReplayConfig) -> None:
@@ -213,7 +213,7 @@ class NativeLauncher:
             allocator = await asyncio.to_thread(_allocator, config)
             self._machine = replace(self._machine, allocator=allocator)
         try:
-            await asyncio.to_thread(self.groups.begin, config)
+            await asyncio.to_thread(self.groups.prepare, config)
         except GroupError as error:
             raise StartError(str(error), permanent=True) from error
         try:
@@ -241,7 +241,7 @@ class NativeLauncher:
             command = container_command(config, self._machine, file, ask=self._policy.ask)
         except ExecutableNotFoundError as error:
             raise StartError(str(error), permanent=True) from error
-        group, entry = self.groups.of_container(config)
+        group, entry = self.groups.of(config)
         if config.container_type is ContainerType.STOCK:
             assert self._stock is not None
             process = await self._spawn(command, on_output, group, entry, name=config.full_name)
@@ -284,9 +284,7 @@ class NativeLauncher:
             command = process_command(config, self._machine, self._parameters.of(config))
         except (ExecutableNotFoundError, ValueError) as error:
             raise StartError(str(error), permanent=True) from error
-        return await self._spawn(
-            command, on_output, *self.groups.of_process(config), name=config.full_name
-        )
+        return await self._spawn(command, on_output, *self.groups.of(config), name=config.full_name)
 
     async def clean_up(self) -> None:
         """Remove the shared memory that killed processes left behind, where Fast DDS is in use."""

@@ -1,9 +1,12 @@
-"""One process at a time: started, watched until nothing of it is left, stopped or killed."""
+"""One process at a time, from its start until nothing of it is left; and the tasks for that."""
 
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
+from contextvars import Context, copy_context
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 import anyio
@@ -18,6 +21,8 @@ from play_launch.supervisor.world import Exit, Phase
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Sequence
 
+    from anyio.abc import TaskGroup
+
     from play_launch.config.model import ContainerConfig
     from play_launch.process.exit import Exit as ProcessExit
     from play_launch.process.lines import Line
@@ -29,6 +34,50 @@ _log = logging.getLogger(__name__)
 
 GONE_LIMIT: Final = 10.0
 """Seconds from the exit of a process to the end of its children and its output."""
+
+
+class Tasks:
+    """Tasks of a system: they wait, and post inputs. Belong to the thread of the event loop."""
+
+    def __init__(self) -> None:
+        self._group: TaskGroup | None = None
+        self._context = Context()
+
+    def run_in(self, group: TaskGroup) -> None:
+        """Run them in ``group`` from now on."""
+        self._group = group
+        self._context = copy_context()
+        # Where sniffio is installed, anyio gets the event loop from it; outside of a task, as in a
+        # callback of the loop, sniffio reads this variable only.
+        with suppress(ModuleNotFoundError):
+            sniffio = import_module("sniffio")
+            self._context.run(sniffio.current_async_library_cvar.set, "asyncio")
+
+    def scope(self) -> anyio.CancelScope:
+        """Make a scope that a task enters later."""
+        return self._context.copy().run(anyio.CancelScope)
+
+    def begin(
+        self, work: Callable[[], Awaitable[None]], on_error: Callable[[Exception], None]
+    ) -> anyio.CancelScope:
+        """Begin a task; cancelled before that, it never does. An exception is no other task's."""
+        assert self._group is not None
+        scope = self.scope()
+        self._context.copy().run(self._group.start_soon, _run, scope, work, on_error)
+        return scope
+
+
+async def _run(
+    scope: anyio.CancelScope,
+    work: Callable[[], Awaitable[None]],
+    on_error: Callable[[Exception], None],
+) -> None:
+    try:
+        with scope:
+            if not scope.cancel_called:
+                await work()
+    except Exception as error:  # noqa: BLE001 - the other units go on
+        on_error(error)
 
 
 class ProcessActor:

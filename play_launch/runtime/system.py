@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Final
 
 import anyio
 
+from play_launch.container.messages import Cancel, Unload
 from play_launch.runtime.container_actor import ContainerActor
 from play_launch.runtime.outside import Conversations, Outside
 from play_launch.runtime.probes import LibraryProbes
-from play_launch.runtime.process_actor import ProcessActor
+from play_launch.runtime.process_actor import ProcessActor, Tasks
 from play_launch.runtime.publisher import EventLog
-from play_launch.runtime.tasks import Tasks
 from play_launch.runtime.watch import WATCH_LIMITS
 from play_launch.supervisor import inputs
 from play_launch.supervisor.conditions import awaited_dependencies, has_ended, pending_units
@@ -215,9 +215,9 @@ class System:
             case inputs.Load():
                 self._container(effect.node.container).load(effect.node, effect.attempt)
             case inputs.Cancel():
-                self._container(effect.container).cancel(effect.unique_id)
+                self._container(effect.container).send(Cancel(unique_id=effect.unique_id))
             case inputs.Unload():
-                self._container(effect.container).unload(effect.unique_id)
+                self._container(effect.container).send(Unload(unique_id=effect.unique_id))
             case inputs.Query():
                 self._container(effect.container).query(effect.about)
             case inputs.Probe():
@@ -330,43 +330,26 @@ class System:
                 break
         return STATE_OF_PHASE[process.phase]
 
-    def start(self, member: str) -> None:
-        """Have a container or executable run that does not; KeyError for an unknown name.
+    def start(self, unit: str | NodeKey) -> None:
+        """Have a process run, or a node loaded, that is not, whatever it depends on.
 
-        It does not wait for what it depends on.
+        KeyError for an unknown unit, here and below.
         """
-        self._known(member)
-        self.post(inputs.StartRequested(member))
+        self.post(inputs.StartRequested(self._known(unit)))
 
-    def stop(self, member: str, reason: str) -> None:
-        """Have one stopped, for good; the others are left alone."""
-        self._known(member)
-        self.post(inputs.EndRequested(member, reason))
+    def stop(self, unit: str | NodeKey, reason: str = "") -> None:
+        """Have one stopped, or unloaded, for good; the others are left alone."""
+        self.post(inputs.EndRequested(self._known(unit), reason))
 
-    def restart(self, member: str, reason: str) -> None:
-        """Have one replaced by a new process, or started."""
-        self._known(member)
-        self.post(inputs.StartRequested(member, anew=True, reason=reason))
+    def restart(self, unit: str | NodeKey, reason: str = "") -> None:
+        """Have one replaced by a new one, or started."""
+        self.post(inputs.StartRequested(self._known(unit), anew=True, reason=reason))
 
-    def load(self, node: NodeKey) -> None:
-        """Have a composable node loaded, whatever it waits for; KeyError for an unknown one."""
-        self._known(node)
-        self.post(inputs.StartRequested(str(node)))
-
-    def unload(self, node: NodeKey) -> None:
-        """Have one unloaded, for good."""
-        self._known(node)
-        self.post(inputs.EndRequested(str(node)))
-
-    def reload(self, node: NodeKey) -> None:
-        """Have one replaced by a new one, or loaded."""
-        self._known(node)
-        self.post(inputs.StartRequested(str(node), anew=True))
-
-    def _known(self, unit: str | NodeKey) -> None:
+    def _known(self, unit: str | NodeKey) -> str:
         units = self.world.processes if isinstance(unit, str) else self.world.nodes
         if unit not in units:
             raise KeyError(unit)
+        return str(unit)
 
     def use_rules(self, config: ReplayConfig) -> None:
         """Have the lines that others depend on looked for."""

@@ -43,7 +43,7 @@ from play_launch.container.messages import (
 )
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
-from play_launch.runtime.groups import Groups
+from play_launch.runtime.commands import Groups
 from play_launch.runtime.launcher import NativeLauncher, NativeProcess
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind, Stream
 

@@ -120,7 +120,7 @@ def test_an_unloaded_node_returns_with_its_replaced_container() -> None:
         launcher = FakeLauncher()
         async with running(system(container("x", "a", "b")), launcher) as sys:
             await sys.until_loaded(2)
-            sys.operated.unload(NodeKey("/x", "/a"))
+            sys.operated.stop(NodeKey("/x", "/a"))
             await sys.until_loaded(1)
             target = replace(container("x", "a", "b"), environment={"A": "b"})
             applied = await sys.operated.applying.apply(system(target))

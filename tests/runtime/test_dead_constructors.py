@@ -67,7 +67,7 @@ async def load_again(sys: Running, *, times: int) -> None:
 
     for _ in range(times - 1):
         await _after(sys, ended)
-        sys.operated.reload(A)
+        sys.operated.restart(A)
     await _after(sys, ended)
 
 

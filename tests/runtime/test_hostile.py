@@ -53,7 +53,7 @@ def test_a_rule_that_raises_for_ever_fails_its_unit_alone(monkeypatch: pytest.Mo
         async with running(system(container("c", "a"), container("d", "b")), FakeLauncher()) as sys:
             await sys.until_loaded(2)
             monkeypatch.setattr(node_rules, "settle", raises)
-            sys.operated.unload(NodeKey("/c", "/a"))
+            sys.operated.stop(NodeKey("/c", "/a"))
             await asyncio.sleep(100)
             assert sys.view.containers["/d"].loaded == 1
         return sys

@@ -72,7 +72,7 @@ def test_a_node_on_its_way_out_is_not_loaded_again_by_hand() -> None:
     async def main() -> None:
         async with running(BEFORE, FakeLauncher({"/box": [Slow]})) as sys:
             await taken_out_too_slowly(sys)
-            sys.operated.load(NodeKey("/box", "/goes"))
+            sys.operated.start(NodeKey("/box", "/goes"))
             await asyncio.sleep(100)
             assert [key.name for key in sys.view.containers["/box"].nodes] == ["/stays"]
 

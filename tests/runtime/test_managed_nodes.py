@@ -96,7 +96,7 @@ def test_it_is_brought_up_again_with_each_life() -> None:
         ros = FakeRos()
         async with running(managed(), FakeLauncher(), ros=ros) as sys:
             await sys.until(lambda: states(sys) == WAY)
-            sys.operated.reload(NodeKey("/c", "/n"))
+            sys.operated.restart(NodeKey("/c", "/n"))
             await sys.until(lambda: states(sys) == [*WAY, State.ABSENT, *WAY])
             sys.operated.restart("/c", "try it")
             await sys.until(lambda: states(sys).count(State.ACTIVE) == 3)
@@ -156,7 +156,7 @@ def test_a_node_that_leaves_in_a_transition_is_not_waited_for() -> None:
         async with running(managed(), FakeLauncher(), ros=FakeRos(takes=1000.0)) as sys:
             await sys.until(lambda: State.CONFIGURING in states(sys))
             assert not sys.view.is_complete
-            sys.operated.unload(NodeKey("/c", "/n"))
+            sys.operated.stop(NodeKey("/c", "/n"))
             await sys.until(lambda: NodeState.UNLOADED in sys.node_states("/n"))
             assert states(sys)[-1] is State.ABSENT
 

@@ -185,7 +185,7 @@ def test_a_node_that_is_loaded_by_hand_gets_its_reloads_anew() -> None:
             for count in range(1, 5):
                 await crash_after_load(count)
             await sys.until(lambda: bool(sys.node_events("/a", NodeState.GAVE_UP)))
-            sys.operated.load(A)
+            sys.operated.start(A)
             await crash_after_load(5)
             await sys.until(lambda: len(sys.node_events("/a", NodeState.LOADED)) == 6)
             assert len(sys.node_events("/a", NodeState.GAVE_UP)) == 1
@@ -228,13 +228,13 @@ def test_a_node_is_unloaded_and_stays_away_until_it_is_loaded() -> None:
     async def main() -> None:
         async with running(CONFIG, FakeLauncher()) as sys:
             await until_up(sys)
-            sys.operated.unload(A)
+            sys.operated.stop(A)
             await sys.until(lambda: bool(sys.node_events("/a", NodeState.UNLOADED)))
             sys.launcher.containers["/c"][0].crash()
             await sys.until_state("/c", ContainerState.BACKOFF)
             await sys.until_loaded(2)
             assert sys.view.containers["/c"].nodes[A].state is NodeState.UNLOADED
-            sys.operated.load(A)
+            sys.operated.start(A)
             await sys.until_loaded(3)
 
     run(main())
@@ -244,12 +244,12 @@ def test_a_node_that_is_wanted_again_while_its_container_is_away_comes_with_it()
     async def main() -> None:
         async with running(CONFIG, FakeLauncher()) as sys:
             await until_up(sys)
-            sys.operated.unload(A)
+            sys.operated.stop(A)
             await sys.until_loaded(2)
             sys.operated.stop("/c", "for a test")
             await sys.until_state("/c", ContainerState.STOPPED)
-            sys.operated.load(A)
-            sys.operated.unload(B)
+            sys.operated.start(A)
+            sys.operated.stop(B)
             sys.operated.start("/c")
             await sys.until_loaded(2)
             states = [node.state for node in sys.view.containers["/c"].nodes.values()]
@@ -263,7 +263,7 @@ def test_an_operation_on_an_unknown_node_is_refused_to_its_caller(key: NodeKey) 
     async def main() -> None:
         async with running(CONFIG, FakeLauncher()) as sys:
             await until_up(sys)
-            for operation in (sys.operated.load, sys.operated.unload, sys.operated.reload):
+            for operation in (sys.operated.start, sys.operated.stop, sys.operated.restart):
                 with pytest.raises(KeyError):
                     operation(key)
             assert sys.view.is_complete
@@ -276,7 +276,7 @@ def test_a_node_is_reloaded_and_its_neighbour_is_left_alone() -> None:
         async with running(CONFIG, FakeLauncher()) as sys:
             await until_up(sys)
             neighbour = sys.view.containers["/c"].nodes[B].unique_id
-            sys.operated.reload(A)
+            sys.operated.restart(A)
             await sys.until(lambda: len(sys.node_events("/a", NodeState.LOADED)) == 2)
             assert sys.node_states("/a")[-4:] == [
                 NodeState.UNLOADING,

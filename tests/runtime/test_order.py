@@ -248,7 +248,7 @@ def test_a_node_whose_dependency_fails_to_load_fails_with_the_reason() -> None:
             await sys.until(lambda: GAVE_UP in sys.process_events("/p"))
             await sys.until(lambda: NodeState.LOAD_FAILED in sys.node_states("/b"))
             # Who wants it all the same gets it.
-            sys.operated.load(NodeKey("/c", "/b"))
+            sys.operated.start(NodeKey("/c", "/b"))
             await sys.until(lambda: NodeState.REQUESTED in sys.node_states("/b"))
         return sys
 
@@ -287,7 +287,7 @@ def test_somebody_starts_what_waits_and_stops_what_waits() -> None:
             await sys.until_state("/c", ContainerState.RUNNING)
             sys.operated.start("/one")
             sys.operated.stop("/two", "not needed")
-            sys.operated.unload(NodeKey("/c", "/n"))
+            sys.operated.stop(NodeKey("/c", "/n"))
             await sys.until(lambda: STARTED in sys.process_events("/one"))
             await sys.until(lambda: NodeState.UNLOADED in sys.node_states("/n"))
             fakes.processes["/early"][0].end(Exit())

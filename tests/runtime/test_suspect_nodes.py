@@ -304,7 +304,7 @@ def test_a_node_that_a_person_loads_amid_its_probe_does_not_fail_by_it() -> None
         async with running(system(config), fakes) as sys:
             await sys.until(lambda: "bad" in probed(sys))
             await sys.until_state("/c", ContainerState.RUNNING)
-            sys.operated.load(NodeKey("/c", "/bad"))
+            sys.operated.start(NodeKey("/c", "/bad"))
             await sys.until_loaded(2)
             await asyncio.sleep(60)
             events = [each.kind for each in sys.events if isinstance(each, ComponentEvent)]
