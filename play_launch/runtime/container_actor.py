@@ -27,8 +27,8 @@ from play_launch.runtime.publisher import report_shortfalls
 from play_launch.runtime.watch import ContainerWatch
 from play_launch.supervisor.events import ComponentEvent, NodeState
 from play_launch.supervisor.inputs import Faulty, Greeted, HealthReported, NodeReported
-from play_launch.supervisor.node_life import IDLE, TABLE, NodeFact
 from play_launch.supervisor.outcome import Cause
+from play_launch.supervisor.transitions import IDLE, NODE_TABLE, NodeFact
 from play_launch.supervisor.world import Hello, Phase, is_wanted
 
 if TYPE_CHECKING:
@@ -264,5 +264,5 @@ def _is_its_end(node: Node, fact: NodeFact) -> bool:
     """Whether a node that is told this does not exist any more in its container."""
     if fact is NodeFact.STATUS_UNKNOWN and node.resent:
         fact = NodeFact.STATUS_UNKNOWN_AGAIN
-    state = TABLE[node.state][fact].state
+    state, _ = NODE_TABLE[node.state][fact]
     return state is not node.state and state in IDLE

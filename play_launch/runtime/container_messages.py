@@ -25,8 +25,8 @@ from play_launch.process.machine import explained
 from play_launch.process.processor_wait import thread_wait
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 from play_launch.supervisor.inputs import NodeReported, blamed_frame
-from play_launch.supervisor.node_life import NodeFact
 from play_launch.supervisor.outcome import Cause
+from play_launch.supervisor.transitions import NodeFact
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -13,6 +13,7 @@ from play_launch.config.model import Autostart
 from play_launch.supervisor.conditions import find_unit
 from play_launch.supervisor.events import ManagedState, NodeState
 from play_launch.supervisor.inputs import Drive, Log, ManagedInput, Release, Transit
+from play_launch.supervisor.transitions import complete
 from play_launch.supervisor.world import Node, Phase, Process
 
 if TYPE_CHECKING:
@@ -81,13 +82,7 @@ _TABLE: Final[Mapping[ManagedState, _Answers]] = {
         Said.IS_ACTIVE: (State.ACTIVE,),
     },
 }
-TABLE: Final = {
-    state: {
-        said: (then, tuple(todo)) for said in Said for then, *todo in (row.get(said, (state,)),)
-    }
-    for state, row in _TABLE.items()
-}
-"""An input without an answer leaves the state as it is."""
+TABLE: Final = complete(ManagedInput, _TABLE)
 
 
 def next_state(

@@ -16,9 +16,9 @@ from msgspec import Struct, field
 from play_launch.config.dependency import Condition
 from play_launch.config.model import ReplayConfig
 from play_launch.config.node_key import NodeKey
-from play_launch.supervisor.node_life import NodeFact
 from play_launch.supervisor.outcome import Cause
 from play_launch.supervisor.plan import Step, StepOutcome
+from play_launch.supervisor.transitions import NodeFact
 from play_launch.supervisor.world import Exit, Hello, Limits
 
 

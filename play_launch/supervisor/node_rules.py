@@ -12,18 +12,18 @@ from play_launch.supervisor import process_rules, quarantine
 from play_launch.supervisor.conditions import readiness, report_wait
 from play_launch.supervisor.events import NodeState
 from play_launch.supervisor.inputs import Cancel, Load, Unload
-from play_launch.supervisor.node_life import (
+from play_launch.supervisor.outcome import Cause, GiveUp, Outcome, RestartHistory, Sequel, decide
+from play_launch.supervisor.transitions import (
     AWAITED,
     IDLE,
     LOADING,
+    NODE_TABLE,
     REPORTED,
     STATUS,
-    TABLE,
+    Fact,
     NodeAction,
     NodeFact,
 )
-from play_launch.supervisor.outcome import Cause, GiveUp, Outcome, RestartHistory, Sequel, decide
-from play_launch.supervisor.process_life import Fact
 from play_launch.supervisor.world import Phase, Stage, is_wanted
 
 if TYPE_CHECKING:
@@ -32,16 +32,6 @@ if TYPE_CHECKING:
     from play_launch.supervisor.reducer import Reduction
     from play_launch.supervisor.world import Node, Process, World
 
-_RELOAD_FAILURES: Final = frozenset(
-    {
-        (NodeState.REQUESTED, NodeFact.REJECTED),
-        (NodeState.REQUESTED, NodeFact.LOAD_FAILED),
-        (NodeState.REQUESTED, NodeFact.STATUS_UNKNOWN_AGAIN),
-        (NodeState.LOADING, NodeFact.LOAD_FAILED),
-        (NodeState.LOADING, NodeFact.STATUS_UNKNOWN_AGAIN),
-    }
-)
-"""Where a failed load is a failed reload, if it followed a crash."""
 _REFUSABLE: Final = frozenset({NodeState.PENDING, NodeState.LOST, NodeState.LOAD_FAILED})
 
 
@@ -50,22 +40,19 @@ def under_way(world: World, container: str) -> tuple[NodeKey, ...]:
 
 
 def reported(step: Reduction, said: NodeReported) -> None:
-    node = _meant(step.world, said)
-    if node is not None:
+    if (node := _meant(step.world, said)) is not None:
         _apply(step, node, said.said, said)
 
 
 def _meant(world: World, said: NodeReported) -> Node | None:
     """Find the node whose latest load a report is about."""
     for node in world.nodes_of(said.unit):
-        if said.said in REPORTED:
-            if said.attempt and node.attempt == said.attempt:
-                matches = not (said.unique_id and node.unique_id) or (
-                    said.unique_id == node.unique_id
-                )
-                return node if matches else None
-        elif said.unique_id and node.unique_id == said.unique_id:
-            return node
+        is_same = said.unique_id == node.unique_id
+        if said.said not in REPORTED:
+            if said.unique_id and is_same:
+                return node
+        elif said.attempt and node.attempt == said.attempt:
+            return node if is_same or not said.unique_id or not node.unique_id else None
     return None
 
 
@@ -74,9 +61,9 @@ def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | N
     world, now = step.world, step.now
     if fact is NodeFact.STATUS_UNKNOWN and before.resent:
         fact = NodeFact.STATUS_UNKNOWN_AGAIN
-    if before.is_reload and (before.state, fact) in _RELOAD_FAILURES:
-        fact = NodeFact.RELOAD_FAILED
-    state, actions = TABLE[before.state][fact]
+    state, actions = NODE_TABLE[before.state][fact]
+    if before.is_reload and before.state in LOADING and state is NodeState.LOAD_FAILED:
+        state, actions = NODE_TABLE[before.state][NodeFact.RELOAD_FAILED]
     node = replace(before, state=state)
     has_changed = state is not before.state
     if said is not None:
@@ -110,7 +97,24 @@ def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | N
     if has_changed and state is NodeState.LOAD_FAILED and _renews(step, node, said):
         return
     for action in actions:
-        _execute(step, step.node(node.key), action)
+        node = step.node(node.key)
+        match action:
+            case NodeAction.LOAD:
+                _load(step, replace(node, resent=False, reason=""))
+            case NodeAction.LOAD_AGAIN:
+                step.log(f"{node.key.name}: {node.key.container} does not know the load, sent anew")
+                reason = "the container did not know the load; sent anew"
+                _load(step, replace(node, resent=True, reason=reason))
+            case NodeAction.QUERY:
+                step.query(node)
+            case NodeAction.CANCEL:
+                step.effects.append(Cancel(node.key.container, node.unique_id))
+            case NodeAction.UNLOAD:
+                step.effects.append(Unload(node.key.container, node.unique_id))
+            case NodeAction.RESTART:
+                _follow_crash(step, node)
+            case _:
+                assert_never(action)
     if is_slow and node.is_reload:
         _reload_hangs(step, node)
 
@@ -200,103 +204,75 @@ def _reload_hangs(step: Reduction, node: Node) -> None:
         process_rules.poisoned(step, container, f"a dead node may have left a lock: {reason}")
 
 
-def _execute(step: Reduction, node: Node, action: NodeAction) -> None:
-    match action:
-        case NodeAction.LOAD:
-            _load(step, node)
-        case NodeAction.LOAD_AGAIN:
-            step.log(f"{node.key.name}: {node.key.container} does not know the load, sent anew")
-            reason = "the container did not know the load; sent anew"
-            _load(step, replace(node, resent=True, reason=reason), is_again=True)
-        case NodeAction.QUERY:
-            step.query(node)
-        case NodeAction.CANCEL:
-            step.effects.append(Cancel(node.key.container, node.unique_id))
-        case NodeAction.UNLOAD:
-            step.effects.append(Unload(node.key.container, node.unique_id))
-        case NodeAction.RESTART:
-            _follow_crash(step, node)
-        case _:
-            assert_never(action)
-
-
-def _load(step: Reduction, node: Node, *, is_again: bool = False) -> None:
-    container = step.process(node.key.container)
+def _load(step: Reduction, node: Node) -> None:
+    container, attempt = step.process(node.key.container), step.world.next_load()
     assert container.container is not None
-    attempt = step.world.next_load()
-    if not is_again:
-        node = replace(node, resent=False, reason="")
     step.world.put(
         node,
         stage=Stage.TRIED if node.stage is Stage.CLEARED else node.stage,
         attempt=attempt,
         loaded_into=container.attempt,
-        unique_id=0,
-        pid=0,
-        start_time=0,
-        loaded_at=None,
+        **dict.fromkeys(("unique_id", "pid", "start_time"), 0),
+        **dict.fromkeys(("loaded_at", "next_at", "wait")),
         sent_at=step.now,
         query_at=step.now + container.container.loading_timeout,
-        next_at=None,
         gives_up="",
-        wait=None,
-        reloads=node.reloads + (node.is_reload and not is_again),
+        reloads=node.reloads + (node.is_reload and not node.resent),
     )
     step.effects.append(Load(node.key, attempt))
 
 
 def _follow_crash(step: Reduction, node: Node) -> None:
-    """Decide what follows from a crash or a failed reload."""
-    container = step.process(node.key.container)
-    if not container.takes_loads or not is_wanted(step.world, node):
+    """Decide what follows from a crash or a failed reload: at once after a healthy life."""
+    container, world, now = step.process(node.key.container), step.world, step.now
+    if not container.takes_loads or not is_wanted(world, node):
         return
-    reason = f"{node.key.name} crashed: {node.reason}"
+    lived = 0.0 if node.loaded_at is None else now - node.loaded_at
+    reason, outcome = node.reason, node.outcome
+    node = replace(node, loaded_at=None)
     match node.config.on_crash:
         case OnCrash.RELOAD:
-            _reload(step, node)
+            limits, chance = replace(node.config.restart, first_at_once=True), step.chance
+            history, verdict = decide(node.history, limits, now=now, lived=lived, jitter=chance)
+            if isinstance(verdict, GiveUp):
+                _give_up(step, replace(node, history=history), Sequel.GAVE_UP, verdict.reason)
+                return
+            when = f"in {verdict.delay:.2f} s" if verdict.delay else "at once"
+            world.put(
+                node,
+                history=history,
+                reason=f"{reason}; it is loaded again {when}",
+                next_at=now + verdict.delay,
+                outcome=outcome.followed_by(Sequel.RELOAD, verdict.delay),
+            )
         case OnCrash.IGNORE:
-            text = f"{node.reason}; it stays away"
-            step.world.put(node, loaded_at=None, reason=text)
+            world.put(node, reason=f"{reason}; it stays away")
         case OnCrash.STOP_CONTAINER:
-            gives_up = f"{node.reason}; its container is stopped"
-            outcome = node.outcome.followed_by(Sequel.CONTAINER_STOP)
-            values = {"next_at": step.now, "gives_up": gives_up, "outcome": outcome}
-            step.world.put(node, loaded_at=None, **values)
-            process_rules.apply(step, container.name, Fact.STOP, reason)
+            _give_up(step, node, Sequel.CONTAINER_STOP, "its container is stopped")
+            why = f"{node.key.name} crashed: {reason}"
+            process_rules.apply(step, container.name, Fact.STOP, why)
         case OnCrash.SHUTDOWN:
-            text = f"{node.reason}; everything is stopped"
-            outcome = node.outcome.followed_by(Sequel.SHUTDOWN)
-            step.world.put(node, loaded_at=None, reason=text, outcome=outcome)
-            process_rules.request_stop(step, reason)
+            after = outcome.followed_by(Sequel.SHUTDOWN)
+            world.put(node, reason=f"{reason}; everything is stopped", outcome=after)
+            process_rules.request_stop(step, f"{node.key.name} crashed: {reason}")
 
 
-def _reload(step: Reduction, node: Node) -> None:
-    """Have a node reloaded, at once after a healthy life, or give it up."""
-    lived = 0.0 if node.loaded_at is None else step.now - node.loaded_at
-    limits = replace(node.config.restart, first_at_once=True)
-    history, verdict = decide(node.history, limits, now=step.now, lived=lived, jitter=step.chance)
-    node = replace(node, loaded_at=None, history=history)
-    if isinstance(verdict, GiveUp):
-        outcome = node.outcome.followed_by(Sequel.GAVE_UP)
-        gives_up = f"{node.reason}; {verdict.reason}"
-        step.world.put(node, next_at=step.now, gives_up=gives_up, outcome=outcome)
-        return
-    when = f"in {verdict.delay:.2f} s" if verdict.delay else "at once"
-    reason = f"{node.reason}; it is loaded again {when}"
-    outcome = node.outcome.followed_by(Sequel.RELOAD, verdict.delay)
-    step.world.put(node, reason=reason, next_at=step.now + verdict.delay, outcome=outcome)
+def _give_up(step: Reduction, node: Node, sequel: Sequel, why: str) -> None:
+    """Have a node given up with the next turn, when its crash has been published."""
+    outcome = node.outcome.followed_by(sequel)
+    step.world.put(node, next_at=step.now, gives_up=f"{node.reason}; {why}", outcome=outcome)
 
 
 def due(step: Reduction, key: NodeKey) -> None:
     """A node is loaded again, given up, or its container is queried, if it is time."""
     node = step.node(key)
     if node.next_at is not None and step.now >= node.next_at:
-        step.world.put(node, next_at=None, gives_up="")
+        now = step.world.put(node, next_at=None, gives_up="")
         if node.gives_up:
-            _apply(step, step.node(key), NodeFact.GIVEN_UP)
+            _apply(step, now, NodeFact.GIVEN_UP)
             step.world.put(step.node(key), reason=node.gives_up)
         elif step.process(key.container).takes_loads:
-            _apply(step, replace(step.node(key), is_reload=True), NodeFact.LOAD)
+            _apply(step, replace(now, is_reload=True), NodeFact.LOAD)
     node = step.node(key)
     if node.query_at is not None and step.now >= node.query_at:
         _apply(step, node, NodeFact.SILENT)
@@ -314,8 +290,8 @@ def container_stops(step: Reduction, container: Process) -> None:
 
 def container_lost(step: Reduction, container: Process, reason: str) -> None:
     for before in step.world.nodes_of(container.name):
-        node = replace(before, next_at=None, gives_up="", died_constructing="", is_silent=False)
-        step.world.put(node)
+        values = {"gives_up": "", "died_constructing": "", "is_silent": False}
+        node = step.world.put(before, next_at=None, **values)
         _apply(step, node, NodeFact.CONTAINER_LOST)
         after = step.node(node.key)
         if after.state is not before.state:
@@ -328,26 +304,21 @@ def refuse(step: Reduction, node: Node, reason: str, finding: ProbeResult | None
     if node.state not in _REFUSABLE:
         return
     container = step.process(node.key.container)
-    step.world.put(
-        node,
-        refusals=node.refusals + 1,
-        finding=finding,
-        wait=None,
-        loaded_into=container.attempt if container.takes_loads else node.loaded_into,
-    )
-    _apply(step, step.node(node.key), NodeFact.REFUSED)
+    into = container.attempt if container.takes_loads else node.loaded_into
+    values = {"finding": finding, "wait": None, "loaded_into": into}
+    node = step.world.put(node, refusals=node.refusals + 1, **values)
+    _apply(step, node, NodeFact.REFUSED)
     step.world.put(step.node(node.key), reason=reason, outcome=Outcome(Cause.REFUSED))
 
 
 def health(step: Reduction, said: HealthReported) -> None:
     """Judge what a container counted of its own troubles."""
     container, world = step.process(said.unit), step.world
-    world.put(
+    container = world.put(
         container,
         lost_locks=container.lost_locks or said.unquiesced > 0,
         is_leaking=container.is_leaking or said.leaked > 0,
     )
-    container = step.process(said.unit)
     if said.dead_locks:
         more = len(said.dead_locks) - 1
         waits = said.dead_locks[0] + (f" (and {more} more)" if more else "")
@@ -393,8 +364,7 @@ def settle(step: Reduction, key: NodeKey) -> None:
         return
     container = step.process(key.container)
     if node.wait is not None and not container.takes_loads:
-        world.put(node, wait=None)
-        node = step.node(key)
+        node = world.put(node, wait=None)
     if node.generation > node.attempted:
         if node.state in IDLE:
             if container.takes_loads:
@@ -409,8 +379,7 @@ def settle(step: Reduction, key: NodeKey) -> None:
 
 def _leave(step: Reduction, node: Node) -> None:
     if node.wait is not None or node.next_at is not None:
-        step.world.put(node, wait=None, next_at=None, gives_up="")
-        node = step.node(node.key)
+        node = step.world.put(node, wait=None, next_at=None, gives_up="")
     if node.state not in {NodeState.UNLOADING, NodeState.UNLOADED}:
         _apply(step, node, NodeFact.LEAVE)
         node = step.node(node.key)
@@ -443,7 +412,6 @@ def _load_with_container(step: Reduction, node: Node) -> None:
     if ready.wait is not None:
         if ready.wait.waived:
             step.log(f"{node.key} starts all the same: {ready.wait.waived}")
-        node = replace(node, released_at=step.now, wait=None)
-        step.world.put(node)
+        node = step.world.put(node, released_at=step.now, wait=None)
     if quarantine.may_load(step.world, node, step.now):
         _apply(step, replace(node, is_reload=False), NodeFact.LOAD)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, assert_never
 from msgspec.structs import replace
 
 from play_launch.config.model import ContainerConfig, OnExit
-from play_launch.supervisor import node_rules, quarantine
+from play_launch.supervisor import inputs, node_rules, quarantine
 from play_launch.supervisor.conditions import readiness, report_wait
 from play_launch.supervisor.inputs import End, Kill, Spawn, Stop
 from play_launch.supervisor.outcome import (
@@ -21,7 +21,7 @@ from play_launch.supervisor.outcome import (
     decide,
     outcome_of,
 )
-from play_launch.supervisor.process_life import TABLE, Action, Fact
+from play_launch.supervisor.transitions import PROCESS_TABLE, Action, Fact
 from play_launch.supervisor.world import (
     INACTIVE,
     Node,
@@ -32,17 +32,7 @@ from play_launch.supervisor.world import (
 )
 
 if TYPE_CHECKING:
-    from play_launch.supervisor.inputs import (
-        CleanedUp,
-        Exited,
-        Faulty,
-        Greeted,
-        NotStarted,
-        Started,
-        Unkillable,
-    )
     from play_launch.supervisor.reducer import Reduction
-    from play_launch.supervisor.world import Exit
 
 _STUCK: Final = "does not die, not even of SIGKILL"
 _NEVER_RAN: Final = frozenset({126, 127})
@@ -66,7 +56,7 @@ def apply(
 ) -> None:
     """Apply a fact to a process by the table; ``due`` is the deadline of the new phase."""
     before = step.process(name)
-    phase, actions = TABLE[before.phase][fact]
+    phase, actions = PROCESS_TABLE[before.phase][fact]
     if phase is not before.phase:
         outcome = outcome or _OUTCOMES.get(fact, Outcome())
         step.world.put(before, phase=phase, reason=reason, due=due, outcome=outcome)
@@ -90,29 +80,23 @@ def apply(
                 assert_never(action)
 
 
+_OF_ATTEMPT: Final = {
+    **dict.fromkeys(("pid", "start_time"), 0),
+    **dict.fromkeys(("exit", "hello", "ready_at", "wait")),
+    **dict.fromkeys(
+        ("is_stuck", "stopped", "is_started", "is_fatal", "lost_locks", "is_leaking"), False
+    ),
+    "killed_because": "",
+    "blames_loads": True,
+}
+"""Values of a process that begin anew with each start."""
+
+
 def _spawn(step: Reduction, process: Process) -> None:
     start = step.world.next_start()
-    step.world.put(
-        process,
-        attempt=start,
-        is_present=True,
-        is_stuck=False,
-        stopped=False,
-        pid=0,
-        start_time=0,
-        is_started=False,
-        exit=None,
-        hello=None,
-        ready_at=None,
-        began_at=step.now,
-        killed_because="",
-        is_fatal=False,
-        blames_loads=True,
-        lost_locks=False,
-        is_leaking=False,
-        wait=None,
-        released_at=step.now if process.released_at is None else process.released_at,
-    )
+    released_at = step.now if process.released_at is None else process.released_at
+    values = {"attempt": start, "is_present": True, "began_at": step.now}
+    step.world.put(process, released_at=released_at, **values, **_OF_ATTEMPT)
     step.effects.append(Spawn(process.name, start))
 
 
@@ -136,10 +120,9 @@ def _stop(step: Reduction, process: Process, reason: str) -> None:
 # Inputs.
 
 
-def started(step: Reduction, said: Started) -> None:
-    process = step.process(said.unit)
+def started(step: Reduction, said: inputs.Started) -> None:
     values = {"pid": said.pid, "start_time": said.start_time, "argv": said.argv}
-    step.world.put(process, is_started=True, **values)
+    process = step.world.put(step.process(said.unit), is_started=True, **values)
     due = None
     config = process.container
     # An attached container may come at any time, and a debugger may take any time.
@@ -150,25 +133,25 @@ def started(step: Reduction, said: Started) -> None:
         apply(step, said.unit, Fact.READY)
 
 
-def not_started(step: Reduction, said: NotStarted) -> None:
-    process = step.process(said.unit)
-    step.world.put(process, is_present=False)
+def not_started(step: Reduction, said: inputs.NotStarted) -> None:
+    process = step.world.put(step.process(said.unit), is_present=False)
     if process.phase not in {Phase.SPAWNING, Phase.STOPPING}:
         return  # what follows was decided before
     respawns = process.container is not None or process.config.on_exit is OnExit.RESTART
-    _exit(step, process.name, said.reason, is_permanent=said.is_permanent or not respawns)
+    _exit(step, process, said.reason, is_permanent=said.is_permanent or not respawns)
 
 
-def greeted(step: Reduction, said: Greeted) -> None:
+def greeted(step: Reduction, said: inputs.Greeted) -> None:
     process = step.process(said.unit)
     if process.phase is Phase.STARTING:
         step.world.put(process, hello=said.hello, ready_at=step.now)
     apply(step, said.unit, Fact.READY)
 
 
-def faulty(step: Reduction, said: Faulty) -> None:
-    if said.is_fatal and TABLE[step.process(said.unit).phase][Fact.FAULTY].actions:
-        step.world.put(step.process(said.unit), is_fatal=True)
+def faulty(step: Reduction, said: inputs.Faulty) -> None:
+    process = step.process(said.unit)
+    if said.is_fatal and PROCESS_TABLE[process.phase][Fact.FAULTY][1]:
+        step.world.put(process, is_fatal=True)
     apply(step, said.unit, Fact.FAULTY, said.reason, outcome=Outcome(said.cause))
 
 
@@ -180,51 +163,41 @@ def poisoned(step: Reduction, process: Process, reason: str, culprit: str = "") 
     apply(step, process.name, Fact.FAULTY, reason, outcome=left_lock)
 
 
-def exited(step: Reduction, said: Exited) -> None:
+def exited(step: Reduction, said: inputs.Exited) -> None:
     process = step.process(said.unit)
     if process.exit is not None:
         return  # it was reported before
     is_stopping = process.phase is Phase.STOPPING or process.stopped
     is_killed = bool(process.killed_because)
     outcome = process.outcome if is_killed else outcome_of(said.exit, is_requested=is_stopping)
-    step.world.put(process, exit=said.exit, is_stuck=False, due=None, outcome=outcome)
+    process = step.world.put(process, exit=said.exit, is_stuck=False, due=None, outcome=outcome)
     if process.phase in INACTIVE or process.phase in {Phase.QUEUED, Phase.BACKOFF}:
         return  # what follows was decided before
-    if process.container is not None:
-        _container_exited(step, step.process(said.unit), said.exit)
-    else:
-        _process_exited(step, step.process(said.unit), said.exit)
-
-
-def _container_exited(step: Reduction, process: Process, exit_: Exit) -> None:
-    because = f"{process.killed_because}; " if process.killed_because else ""
+    text, code = said.exit.text, said.exit.code
+    repeats = f"{text}: {PERMANENT_EXIT_CODES[code]}" if code in PERMANENT_EXIT_CODES else ""
+    if process.container is None:
+        lived = step.now - process.began_at
+        if process.config.on_exit is not OnExit.RESTART:
+            _exit(step, process, "", is_done=True, lived=lived)
+        elif code in _NEVER_RAN:
+            _exit(step, process, repeats, is_permanent=True)
+        else:
+            _exit(step, process, text, lived=lived)
+        return
+    because = f"{process.killed_because}; " if is_killed else ""
     if process.ready_at is None:
-        again = PERMANENT_EXIT_CODES.get(exit_.code, "")
-        reason = f"{exit_.text}: {again}" if again else exit_.text
-        _exit(step, process.name, f"{because}{reason}", is_permanent=bool(again))
-    elif exit_.code == CONTEXT_EXIT_CODE:
-        _exit(step, process.name, "a node shut its ROS context down", is_done=True)
+        _exit(step, process, f"{because}{repeats or text}", is_permanent=bool(repeats))
+    elif code == CONTEXT_EXIT_CODE:
+        _exit(step, process, "a node shut its ROS context down", is_done=True)
     else:
-        lived = step.now - process.ready_at
-        _exit(step, process.name, f"{because}{exit_.text}", lived=lived)
+        _exit(step, process, f"{because}{text}", lived=step.now - process.ready_at)
 
 
-def _process_exited(step: Reduction, process: Process, exit_: Exit) -> None:
-    lived = step.now - process.began_at
-    if process.config.on_exit is not OnExit.RESTART:
-        _exit(step, process.name, "", is_done=True, lived=lived)
-    elif exit_.code in _NEVER_RAN:
-        reason = f"{exit_.text}: {PERMANENT_EXIT_CODES[exit_.code]}"
-        _exit(step, process.name, reason, is_permanent=True)
-    else:
-        _exit(step, process.name, exit_.text, lived=lived)
-
-
-def cleaned_up(step: Reduction, said: CleanedUp) -> None:
+def cleaned_up(step: Reduction, said: inputs.CleanedUp) -> None:
     step.world.put(step.process(said.unit), is_present=False)
 
 
-def unkillable(step: Reduction, said: Unkillable) -> None:
+def unkillable(step: Reduction, said: inputs.Unkillable) -> None:
     process = step.process(said.unit)
     if process.exit is None:
         step.world.put(process, is_stuck=True)
@@ -242,14 +215,13 @@ def due(step: Reduction, name: str) -> None:
     process = step.process(name)
     if process.due is None or step.now < process.due:
         return
-    step.world.put(process, due=None)
+    process = step.world.put(process, due=None)
     match process.phase:
         case Phase.STARTING:
-            limit = step.world.limits.hello
-            reason = f"it did not say hello within {limit:g} s"
+            reason = f"it did not say hello within {step.world.limits.hello:g} s"
             apply(step, name, Fact.FAULTY, reason, outcome=Outcome(Cause.CHANNEL_FAILED))
         case Phase.KILLING:
-            step.world.put(step.process(name), is_stuck=True)
+            step.world.put(process, is_stuck=True)
             apply(step, name, Fact.STUCK, _STUCK)
         case Phase.BACKOFF:
             apply(step, name, Fact.RESTART_DUE)
@@ -259,7 +231,7 @@ def due(step: Reduction, name: str) -> None:
 
 def _exit(
     step: Reduction,
-    name: str,
+    process: Process,
     reason: str,
     *,
     is_permanent: bool = False,
@@ -267,12 +239,11 @@ def _exit(
     lived: float = 0.0,
 ) -> None:
     """Decide what follows from an exit, or from a start that failed."""
-    process = step.process(name)
+    name, outcome = process.name, process.outcome
     was_stopped = process.phase is Phase.STOPPING
     ends_all = process.config.on_exit is OnExit.SHUTDOWN and not was_stopped
     # Another start would only be in the way of the end.
     is_permanent = is_permanent or (ends_all and not is_done and process.container is not None)
-    outcome = process.outcome
     done = outcome.followed_by(Sequel.SHUTDOWN) if ends_all else outcome
     gave_up = done if ends_all else outcome.followed_by(Sequel.GAVE_UP)
     if process.generation > process.attempted and is_wanted(step.world, process):
@@ -282,8 +253,9 @@ def _exit(
         apply(step, name, Fact.EXITED_GIVE_UP, reason, outcome=gave_up)
     elif is_done:
         if reason:
-            text = f"{name}: stopped, and is not started again: {reason}"
-            step.log(text, is_shown_otherwise=True)
+            step.log(
+                f"{name}: stopped, and is not started again: {reason}", is_shown_otherwise=True
+            )
         apply(step, name, Fact.EXITED_DONE, reason, outcome=done)
     else:
         _restart(step, process, reason, lived)
@@ -301,25 +273,21 @@ def _restart(step: Reduction, process: Process, reason: str, lived: float) -> No
     counts = not (
         is_ours(process) and process.blames_loads and quarantine.excuses_death(world, process.name)
     )
+    limits, now = process.config.restart, step.now
     history, verdict = decide(
-        process.restarts,
-        process.config.restart,
-        now=step.now,
-        lived=lived,
-        jitter=step.chance,
-        counts=counts,
+        process.restarts, limits, now=now, lived=lived, jitter=step.chance, counts=counts
     )
-    world.put(step.process(process.name), restarts=history)
+    process = world.put(process, restarts=history)
     if isinstance(verdict, GiveUp):
         outcome, text = process.outcome.followed_by(Sequel.GAVE_UP), f"{reason}; {verdict.reason}"
         apply(step, process.name, Fact.EXITED_GIVE_UP, text, outcome=outcome)
         return
-    attached = process.container is not None and process.container.attach
-    what = "looked for again" if attached else "starts again"
+    is_attached = process.container is not None and process.container.attach
+    what = "looked for again" if is_attached else "starts again"
     text = f"{reason}; {what} in {verdict.delay:.2f} s"
     under_way = node_rules.under_way(world, process.name)
     outcome = process.outcome.followed_by(Sequel.RESTART, verdict.delay)
-    due = step.now + verdict.delay
+    due = now + verdict.delay
     apply(step, process.name, Fact.EXITED_RESTART, text, due, outcome=outcome)
     if is_ours(process):
         blamed = under_way if process.blames_loads else ()
@@ -338,15 +306,14 @@ def request_stop(step: Reduction, reason: str) -> None:
 
 def settle(step: Reduction, name: str) -> None:
     """Begin what is wanted of a process and has not begun."""
-    process = step.process(name)
-    world = step.world
+    process, world = step.process(name), step.world
     if not is_wanted(world, process):
         _settle_unwanted(step, process)
         return
     if process.generation > process.attempted:
         if process.phase in {Phase.SPAWNING, Phase.STARTING, Phase.RUNNING}:
             apply(step, name, Fact.STOP, process.request_reason)
-        elif TABLE[process.phase][Fact.START].phase is Phase.QUEUED:
+        elif PROCESS_TABLE[process.phase][Fact.START][0] is Phase.QUEUED:
             _begin(step, process)
     process = step.process(name)
     if process.phase is Phase.QUEUED:
@@ -399,20 +366,17 @@ def _with_next_config(step: Reduction, process: Process) -> Process:
     """Begin anew with the next configuration; nodes that it does not have are forgotten."""
     config, world = process.next_config, step.world
     assert config is not None
-    # What was started once waits for no conditions.
-    released = {node.key: node.released_at for node in world.nodes_of(process.name)}
-    asked = [each.key for each in world.nodes_of(process.name) if each.generation > each.attempted]
-    for node in world.nodes_of(process.name):
+    before = {node.key: node for node in world.nodes_of(process.name)}
+    for node in before.values():
         world.forget(node)
-    if isinstance(config, ContainerConfig):
-        for each in config.composable_nodes:
-            is_asked = int(each.key in asked)
-            released_at = released.get(each.key)
-            world.put(Node(config=each, generation=is_asked, released_at=released_at))
+    for each in config.composable_nodes if isinstance(config, ContainerConfig) else ():
+        was = before.get(each.key) or Node(config=each)
+        # What was started once waits for no conditions.
+        is_asked = int(was.generation > was.attempted)
+        world.put(Node(config=each, generation=is_asked, released_at=was.released_at))
     anew = Process(config=config, generation=process.generation, attempt=process.attempt)
-    anew = replace(anew, released_at=process.released_at)
-    world.put(replace(anew, phase=process.phase, reason=process.reason))
-    return step.process(process.name)
+    anew = replace(anew, phase=process.phase, reason=process.reason)
+    return world.put(replace(anew, released_at=process.released_at))
 
 
 def _queue(step: Reduction, process: Process) -> None:
@@ -426,23 +390,19 @@ def _queue(step: Reduction, process: Process) -> None:
         assert ready.wait is not None
         world.put(process, wait=report_wait(step, process.name, before, ready.wait))
         return
-    if ready.wait is not None:
-        if ready.wait.waived:
-            step.log(f"{process.name} starts all the same: {ready.wait.waived}")
-        world.put(process, wait=None, released_at=step.now)
-    elif before is not None:  # its conditions are gone
-        world.put(process, wait=None)
-    process = step.process(process.name)
+    if ready.wait is not None and ready.wait.waived:
+        step.log(f"{process.name} starts all the same: {ready.wait.waived}")
+    # Without a wait, its conditions are gone.
+    released_at = process.released_at if ready.wait is None else step.now
+    process = world.put(process, wait=None, released_at=released_at)
     if not process.is_present and _has_slot(step, process):
         apply(step, process.name, Fact.TURN)
 
 
 def _has_slot(step: Reduction, process: Process) -> bool:
-    if not _takes_slot(process):
-        return True
-    starting = {Phase.SPAWNING, Phase.STARTING}
-    others = step.world.processes.values()
-    return sum(each.phase in starting and _takes_slot(each) for each in others) < step.world.starts
+    phases, world = {Phase.SPAWNING, Phase.STARTING}, step.world
+    starting = [each for each in world.processes.values() if each.phase in phases]
+    return not _takes_slot(process) or sum(map(_takes_slot, starting)) < world.starts
 
 
 def _takes_slot(process: Process) -> bool:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.supervisor import node_rules
 from play_launch.supervisor.inputs import CancelProbes, Probe
-from play_launch.supervisor.node_life import LOADING
+from play_launch.supervisor.transitions import LOADING
 from play_launch.supervisor.world import Stage, is_wanted
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from play_launch.supervisor.conditions import (
     stopped_before,
     unit_key,
 )
-from play_launch.supervisor.node_life import IDLE
+from play_launch.supervisor.transitions import IDLE
 from play_launch.supervisor.world import INACTIVE, Phase, Process
 
 if TYPE_CHECKING:

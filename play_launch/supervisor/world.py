@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from enum import StrEnum, auto
 from heapq import heappop, heappush
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -69,15 +69,10 @@ class Phase(StrEnum):
 
 
 STATE_OF_PHASE: Final = {
-    Phase.STOPPED: ContainerState.STOPPED,
-    Phase.QUEUED: ContainerState.STARTING,
-    Phase.SPAWNING: ContainerState.STARTING,
-    Phase.STARTING: ContainerState.STARTING,
-    Phase.RUNNING: ContainerState.RUNNING,
-    Phase.KILLING: ContainerState.KILLING,
-    Phase.STOPPING: ContainerState.STOPPING,
-    Phase.BACKOFF: ContainerState.BACKOFF,
-    Phase.GAVE_UP: ContainerState.GAVE_UP,
+    phase: ContainerState.STARTING
+    if phase in {Phase.QUEUED, Phase.SPAWNING, Phase.STARTING}
+    else ContainerState(phase.value)
+    for phase in Phase
 }
 """The phase as events have it."""
 
@@ -286,6 +281,7 @@ class Goal(Struct, frozen=True, kw_only=True):
 
 
 UnitKey: TypeAlias = "str | NodeKey"
+_Unit = TypeVar("_Unit", bound=Process | Node | Goal)
 
 
 class World:
@@ -355,9 +351,10 @@ class World:
         self.loads_made += 1
         return self.loads_made
 
-    def put(self, unit: Process | Node | Goal, **values: object) -> None:
+    def put(self, unit: _Unit, **values: object) -> _Unit:
+        """Put a unit into the world, with other values; return it as it is then."""
         if values and all(getattr(unit, name) == value for name, value in values.items()):
-            return
+            return unit
         changed = replace(unit, **values) if values else unit
         if isinstance(changed, Process):
             self._note(changed.name, self.processes.get(changed.name), changed)
@@ -368,16 +365,16 @@ class World:
             self._note(changed.key, self.nodes.get(changed.key), changed)
             self.nodes[changed.key] = changed
         else:
-            self.touch(changed.unit)
+            self._touch(changed.unit)
             self.goals[changed.unit] = changed
+        return changed
 
-    def touch(self, key: UnitKey) -> None:
-        """Have the rules of a unit evaluated."""
+    def _touch(self, key: UnitKey) -> None:
         self.touched.add(key)
         self.changed.add(key)
 
     def _note(self, key: UnitKey, old: Process | Node | None, new: Process | Node) -> None:
-        self.touch(key)
+        self._touch(key)
         place = self.places.setdefault(key, len(self.places))
         is_waiting = new.wait is not None or (
             new.phase is Phase.QUEUED if isinstance(new, Process) else new.stage is Stage.CLEARED

@@ -13,8 +13,8 @@ from play_launch.supervisor.events import (
     NodeStateChanged,
     ProcessEventKind,
 )
-from play_launch.supervisor.node_life import NodeFact
 from play_launch.supervisor.plan import StepOutcome
+from play_launch.supervisor.transitions import NodeFact
 from play_launch.supervisor.world import STATE_OF_PHASE, Phase
 
 from .person import unit_of

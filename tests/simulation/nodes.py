@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from play_launch.config.model import ContainerType
 from play_launch.supervisor import inputs as said
-from play_launch.supervisor.node_life import NodeFact
+from play_launch.supervisor.transitions import NodeFact
 
 if TYPE_CHECKING:
     from play_launch.config.node_key import NodeKey

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.supervisor import inputs as said
-from play_launch.supervisor.node_life import NodeFact
+from play_launch.supervisor.transitions import NodeFact
 from play_launch.supervisor.world import Exit, Hello
 
 if TYPE_CHECKING:
