@@ -364,8 +364,9 @@ async def test_a_slow_execution_holds_up_neither_its_supervisor_nor_others(
 async def test_what_a_guard_starts_too_late_is_not_executed_and_its_children_live_on(
     guard: Path, tmp_path: Path
 ) -> None:
-    session = SessionGuard.start(guard, answer_limit=0.1)
+    session = SessionGuard.start(guard)
     child = await spawn(shell("sleep 600"), env=environment(), guard=session)
+    session._answer_limit = 0.1  # it is not continued before
     ran = tmp_path / "ran"
     os.kill(session.pid, signal.SIGSTOP)
     with pytest.raises(SpawnError, match="does not answer") as late:
