@@ -23,10 +23,11 @@ from msgspec import Struct
 
 from play_launch import UserError
 from play_launch.postmortem.records import (
+    INDEX,
     BrokenError,
     check_end,
-    check_index,
     is_too_long,
+    is_wrong_index,
     read_attachment,
     read_chunk,
     read_content,
@@ -245,7 +246,8 @@ class BagReader:
         while at < size:
             try:
                 file.seek(at)
-                kind, length = _RECORD.unpack(file.read(_RECORD.size))
+                head = file.read(_RECORD.size + INDEX.size)
+                kind, length = _RECORD.unpack_from(head)
             except (OSError, struct.error) as error:
                 reason = getattr(error, "strerror", None) or "the file ends within a record"
                 self._damaged(at, reason)
@@ -255,16 +257,20 @@ class BagReader:
                 reason = f"the file ends within a record, or its length ({length} bytes) is wrong"
                 self._damaged(at, f"{reason}; {size - at:,} bytes are not read")
                 return
+            if kind == Opcode.MESSAGE_INDEX:  # most records by far, one for each topic of a chunk
+                if is_wrong_index(head[_RECORD.size :], length):
+                    self._damaged(at, "an index has a wrong length, or is something else")
+                at = end
+                continue
             found: list[Message] = []
             try:
+                file.seek(at + _RECORD.size)
                 if kind in {Opcode.DATA_END, Opcode.FOOTER}:
                     end_of_data = end if kind == Opcode.DATA_END else at
                     check_end(file, size, end_of_data, self._described)
                     self.is_complete = True
                     return
-                if kind == Opcode.MESSAGE_INDEX:
-                    check_index(file, length)
-                elif kind != Opcode.HEADER or at > len(MAGIC):
+                if kind != Opcode.HEADER or at > len(MAGIC):
                     self._record(kind, read_content(file, kind, length), at, wanted, found)
             except (BrokenError, OSError) as error:
                 # A sector that cannot be read costs the record that it is in.

@@ -30,7 +30,7 @@ _LIMIT: Final = 1 << 24
 """Bytes of a record of another kind: it describes something."""
 _HEAD: Final = 1 << 14
 """Bytes of a record in which its length stands."""
-_INDEX: Final = struct.Struct("<HI")
+INDEX: Final = struct.Struct("<HI")
 """Channel and length of the entries, which follow."""
 _CHECKSUM: Final = struct.Struct("<I")
 _SMALL: Final = struct.Struct("<I")
@@ -71,11 +71,9 @@ def read_content(file: IO[bytes], kind: int, length: int) -> bytes:
     return file.read(length)
 
 
-def check_index(file: IO[bytes], length: int) -> None:
+def is_wrong_index(head: bytes, length: int) -> bool:
     """Check a message index by its first bytes: another record could have become one."""
-    head = file.read(_INDEX.size)
-    if len(head) < _INDEX.size or _INDEX.unpack(head)[1] + _INDEX.size != length:
-        raise BrokenError("an index has a wrong length, or is something else")
+    return len(head) < INDEX.size or INDEX.unpack(head)[1] + INDEX.size != length
 
 
 def read_record(read: Callable[[Any], Any], content: bytes) -> Any:

@@ -18,7 +18,15 @@ from play_launch.postmortem.parameters import TOPICS as PARAMETER_TOPICS
 from play_launch.postmortem.parameters import Parameters
 from play_launch.postmortem.samples import Samples
 from play_launch.postmortem.session import PastSession
-from play_launch.postmortem.units import NO_UNIT, Downtime, Failure, FailureEvent, Fault, Unit
+from play_launch.postmortem.units import (
+    NO_UNIT,
+    Downtime,
+    Failure,
+    FailureEvent,
+    Fault,
+    Groups,
+    Unit,
+)
 from play_launch.postmortem.version1 import Version1
 from play_launch.recording import topics
 from play_launch.supervisor.events import (
@@ -39,10 +47,10 @@ from play_launch.supervisor.events import (
 from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator
+    from collections.abc import Callable, Container, Iterator
     from pathlib import Path
 
-    from play_launch.postmortem.bag_reader import Message
+    from play_launch.postmortem.bag_reader import Message, RecordedTopic
     from play_launch.postmortem.units import Reason, State
 
 MOST_CHANGES: Final = 300_000
@@ -57,16 +65,7 @@ _KILLED: Final = frozenset({Cause.FROZEN, Cause.CHANNEL_FAILED, Cause.NODE_LEFT_
 _WORDED: Final = frozenset({Sequel.RELOAD, Sequel.CONTAINER_RESTART, Sequel.SHUTDOWN})
 """Sequels that stand at the end of the reason of a node as well."""
 _PROCESS: Final = re.compile(r"\bprocess (\d+)\b")
-_ARRIVED: Final = frozenset(
-    {
-        NodeState.LOADED,
-        NodeState.LOAD_FAILED,
-        NodeState.CRASHED,
-        NodeState.GAVE_UP,
-        NodeState.LOST,
-        NodeState.UNLOADED,
-    }
-)
+_ON_ITS_WAY: Final = frozenset({NodeState.PENDING, NodeState.UNLOADING})
 _STATES: Final = frozenset({topics.COMPONENT_EVENTS.name, topics.STATES.name, topics.LOG_ALL.name})
 _OTHERS: Final = frozenset({*PARAMETER_TOPICS, topics.OUTPUT.name, topics.SYSTEM.name})
 
@@ -81,7 +80,7 @@ class Timeline:
         self.events: list[FailureEvent] = []
         self.events_left_out = self.changes_left_out = 0
         self.interruptions: list[RecordingInterrupted] = []
-        self.samples = Samples()
+        self.samples, self.groups = Samples(), Groups()
         self.parameters = Parameters()
         self._lines = LastLines()
         self._version1 = Version1()
@@ -93,6 +92,7 @@ class Timeline:
         self._waiting: list[tuple[int, int, Failure]] = []
         """Failures whose last lines may still come, and until when."""
         self._changes = 0
+        self._takes: dict[RecordedTopic, Callable[[Message], RunEvent | None]] = {}
 
     def messages(
         self, wanted: Container[str] | None = None
@@ -128,25 +128,34 @@ class Timeline:
         """Take one message; return the event that it was read as, if it was."""
         while self._waiting and message.log_time > self._waiting[0][0]:
             self._read_lines(heapq.heappop(self._waiting)[2])
-        topic = message.topic
+        take = self._takes.get(message.topic)
+        if take is None:
+            take = self._takes[message.topic] = self._take_of(message.topic)
+        return take(message)
+
+    def _take_of(self, topic: RecordedTopic) -> Callable[[Message], RunEvent | None]:
         if topic.type_name == topics.PROCESS_STATS:
-            self.samples.of(topic.key)(message)
-        elif topic.name == topics.OUTPUT.name:
-            self._lines.take(message)
-        elif topic.name == topics.SYSTEM.name:
-            self.samples.take_system(message)
-        else:
-            try:
-                if topic.name in PARAMETER_TOPICS:
-                    self.parameters.take(message)
-                elif topic.name in _STATES:
-                    event = event_of(message)
-                    if event is not None:
-                        self.fold(event, message.log_time)
-                    return event
-            except UnreadableEventError as error:
-                self.session.note_damage(message, error)
-        return None
+            return self.samples.of(topic.key)
+        if topic.type_name == topics.GROUP_STATS:
+            return self.groups.of(topic.key)
+        if topic.name == topics.OUTPUT.name:
+            return self._lines.take
+        if topic.name == topics.SYSTEM.name:
+            return self.samples.take_system
+        return self._take_event if topic.name in _STATES | PARAMETER_TOPICS else _ignore
+
+    def _take_event(self, message: Message) -> RunEvent | None:
+        try:
+            if message.topic.name in PARAMETER_TOPICS:
+                self.parameters.take(message)
+                return None
+            event = event_of(message)
+        except UnreadableEventError as error:
+            self.session.note_damage(message, error)
+            return None
+        if event is not None:
+            self.fold(event, message.log_time)
+        return event
 
     def fold(self, event: RunEvent, at_ns: int) -> None:
         """Take one event, received at that log time."""
@@ -184,7 +193,9 @@ class Timeline:
         if unit.state is None or not isinstance(unit.state, ContainerState):
             unit.changes.clear()
         if event.state is ContainerState.STARTING:
-            unit.begun_ns = unit.begun_ns or at_ns
+            # With a reason, it waits for its turn.
+            unit.waited = unit.waited or ("" if unit.begun_ns else event.reason)
+            unit.begun_ns = unit.begun_ns or (0 if event.reason else at_ns)
         elif event.state is ContainerState.RUNNING:
             unit.ready_ns = unit.ready_ns or at_ns
         self._change(unit, event.state, at_ns)
@@ -231,11 +242,13 @@ class Timeline:
             unit.loaded_ns = unit.loaded_ns or event.stamp_ns
         if unit.arrival is not None:
             return
-        if event.state is NodeState.REQUESTED:
+        if event.state is NodeState.PENDING:
+            unit.waited = event.reason or unit.waited
+        elif event.state is NodeState.REQUESTED:
             unit.begun_ns = at_ns
         elif event.state is NodeState.LOADING:
             unit.constructing_ns = unit.constructing_ns or at_ns
-        elif event.state in _ARRIVED:
+        elif event.state not in _ON_ITS_WAY:
             unit.ready_ns, unit.arrival = at_ns, event.state
 
     def _process(self, event: ProcessEvent, at_ns: int) -> None:
@@ -418,6 +431,10 @@ def read_timeline(path: Path, *, only_failures: bool = False) -> Timeline:
     for _ in timeline.messages(_Wanted(only_failures=only_failures)):
         pass
     return timeline
+
+
+def _ignore(_message: Message) -> None:
+    """Take a message that the user recorded besides."""
 
 
 class _Wanted:

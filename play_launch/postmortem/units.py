@@ -1,4 +1,4 @@
-"""The units of a session, and their failures with what led to them and what followed."""
+"""The units of a session, what their control groups kept them from, and their failures."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from msgspec import Struct, field
 
+from play_launch.container.cdr.layout import CdrError
+from play_launch.container.cdr.messages import GROUP_STATS
 from play_launch.postmortem.frames import Frame, Signature, ending, frame_of, signature_of
 from play_launch.postmortem.parameters import ParametersOfALife  # noqa: TC001 - a field of a Struct
 from play_launch.postmortem.source_lines import Module, module_of
@@ -20,6 +22,9 @@ from play_launch.supervisor.events import (
 from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from play_launch.postmortem.bag_reader import Message
     from play_launch.supervisor.events import ComponentEvent, NodeStateChanged, ProcessEvent
 
 State: TypeAlias = NodeState | ContainerState | ProcessEventKind
@@ -27,6 +32,7 @@ State: TypeAlias = NodeState | ContainerState | ProcessEventKind
 NO_UNIT: Final = 0xFFFF
 """Number of what is no unit, and of the units beyond so many: a page has 16 bits for one."""
 
+_GROUP: Final = GROUP_STATS.picker("group", "throttled_seconds", "oom_kills", "pids_max_hits")
 _MOST_DOWNTIMES: Final = 10_000
 """Of one failure, that are kept."""
 
@@ -203,6 +209,8 @@ class Unit(Struct, kw_only=True):
     """Log time when a container was ready first, or a node had arrived, well or not."""
     arrival: NodeState | None = None
     """How a node arrived."""
+    waited: str = ""
+    """What it waited for before it was started first, in the words of the recording."""
     loaded_ns: int = 0
     """When a node was loaded first."""
 
@@ -222,3 +230,49 @@ class FailureEvent(Struct, frozen=True):
     """None: the supervisor gave the unit up."""
     reason: str
     frames: tuple[str, ...] = ()
+
+
+class GroupUse(Struct):
+    """What the control groups of one unit were kept from; each process has another group."""
+
+    begin_ns: int = 0
+    end_ns: int = 0
+    throttled_seconds: float = 0.0
+    throttled_ns: int = 0
+    """Log time of the first sample with any; 0: none."""
+    oom_kills: int = 0
+    oom_times: list[int] = field(default_factory=list)
+    refused: int = 0
+    refused_times: list[int] = field(default_factory=list)
+    _latest: tuple[int, float, int, int] = (0, 0.0, 0, 0)
+
+    def take(self, message: Message) -> None:
+        """Add what grew since the sample before; the numbers of a new group begin at 0."""
+        try:
+            latest = _GROUP(message.data)
+        except CdrError:
+            return
+        group, throttled, oom, refused = latest
+        same = self._latest if self._latest[0] == group else (group, 0.0, 0, 0)
+        at, self._latest = message.log_time, latest
+        self.begin_ns, self.end_ns = self.begin_ns or at, at
+        if throttled > same[1]:
+            self.throttled_seconds += throttled - same[1]
+            self.throttled_ns = self.throttled_ns or at
+        if oom > same[2]:
+            self.oom_kills += oom - same[2]
+            self.oom_times.append(at)
+        if refused > same[3]:
+            self.refused += refused - same[3]
+            self.refused_times.append(at)
+
+
+class Groups:
+    """What the control groups of a session were kept from, by the keys of their units."""
+
+    def __init__(self) -> None:
+        self.of_units: dict[str, GroupUse] = {}
+
+    def of(self, key: str) -> Callable[[Message], None]:
+        """Give what takes the samples of a unit's control groups."""
+        return self.of_units.setdefault(key, GroupUse()).take

@@ -100,7 +100,7 @@ def test_many_findings_stay_readable(tmp_path: Path) -> None:
     assert text.count("Place: ") == 9
     assert "The first 5 are in full here" in text
     assert max(map(len, text.splitlines())) < 400
-    assert len(json.loads(run("explain", bag, "--json").stdout)["findings"]) == 9
+    assert len(json.loads(run("explain", bag, "--json").stdout)["findings"]) == 18
 
 
 def test_what_a_node_wrote_cannot_spoil_the_terminal(tmp_path: Path) -> None:

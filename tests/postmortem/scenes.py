@@ -21,6 +21,7 @@ from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,
     ContainerStateChanged,
+    GroupSample,
     MemoryKind,
     NodeState,
     NodeStateChanged,
@@ -176,6 +177,24 @@ class Scene:
                 **numbers,
             )
         )
+
+    def group(self, at: float, key: str, **numbers: Any) -> None:
+        numbers = {"group": 1, "throttled_seconds": 0.0, "oom_kills": 0, **numbers}
+        sample = GroupSample(
+            stamp_ns=ns(at),
+            kind=SubjectKind.PROCESS,
+            key=key,
+            cpu_seconds=0.0,
+            throttled_periods=0,
+            cpu_pressure=0.0,
+            memory_pressure=0.0,
+            io_pressure=0.0,
+            memory_bytes=0,
+            processes=1,
+            pids_max_hits=numbers.pop("pids_max_hits", 0),
+            **numbers,
+        )
+        self.events.append(sample)
 
     def machine(self, at: float, **numbers: Any) -> None:
         numbers = {"cpu_percent": 10.0, "cpu_some_avg10": NAN, "disk_free": 10**12} | numbers

@@ -1,0 +1,68 @@
+"""A node for which the whole system waited at its bring-up, with what that node waited for."""
+
+from __future__ import annotations
+
+from statistics import median
+from typing import TYPE_CHECKING, Final
+
+from play_launch.config.durations import duration
+from play_launch.postmortem.declared import Place
+from play_launch.postmortem.findings import Finding
+from play_launch.supervisor.events import NodeState, SubjectKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from play_launch.postmortem.timeline import Timeline
+    from play_launch.postmortem.units import Unit
+
+_LEAST_NODES: Final = 3
+_LATER: Final = 5_000_000_000
+"""Nanoseconds after all others, at least."""
+_FACTOR: Final = 2
+"""Times as late as the median."""
+_BRIEF: Final = 50_000_000
+
+
+def detect(timeline: Timeline) -> Iterator[Finding]:
+    started = timeline.session.started_ns
+    nodes = [unit for unit in timeline.units if unit.kind is SubjectKind.NODE and unit.is_known]
+    arrived = sorted((unit for unit in nodes if unit.arrival), key=lambda unit: unit.ready_ns)
+    if len(arrived) < max(_LEAST_NODES, len(nodes)):
+        return  # a node that never came is a finding of its own
+    *others, last = arrived
+    usual = median(unit.ready_ns - started for unit in others)
+    later = last.ready_ns - others[-1].ready_ns
+    if later < _LATER or last.ready_ns - started < _FACTOR * usual:
+        return
+    if last.arrival is not NodeState.LOADED:
+        return
+    container = timeline.unit(SubjectKind.CONTAINER, last.container)
+    yield Finding(
+        kind="late_bring_up",
+        rank=6,
+        is_failure=False,
+        says=f"was loaded last, {duration(later)} after all other nodes, {{at}}",
+        who=last.name,
+        key=last.key,
+        times_ns=(last.ready_ns,),
+        cause=", ".join(_chain(last, container, started)),
+        place=Place(container=last.container),
+    )
+
+
+def _chain(node: Unit, container: Unit, started: int) -> Iterator[str]:
+    """Give what the node waited for, one after the other, and how long."""
+    why = container.waited or node.waited
+    steps = (
+        (f"its container waited to be started{f' ({why})' if why else ''}", container.begun_ns),
+        ("its container was starting", container.ready_ns),
+        (f"its load waited{f' ({node.waited})' if node.waited else ''}", node.begun_ns),
+        ("the container accepted its load", node.constructing_ns),
+        ("its constructor ran", node.ready_ns),
+    )
+    since = started
+    for what, until in steps:
+        if until - since >= _BRIEF:
+            yield f"{what} for {duration(until - since)}"
+        since = max(since, until)

@@ -1,0 +1,97 @@
+"""Findings that need more than one event: limits of control groups, loops, late bring-up."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from play_launch.cli.explain import details, headline
+from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind
+from tests.postmortem.scenes import Scene, ns
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from play_launch.postmortem.findings import Finding
+
+
+def text_of(finding: Finding) -> tuple[str, str]:
+    """Headline and cause."""
+    return headline(finding, ns(0)), next(iter(details(finding)), "")
+
+
+@pytest.mark.parametrize(("share", "is_found"), [(0.05, False), (0.3, True)])
+def test_a_unit_that_its_cpu_limit_throttles(tmp_path: Path, share: float, is_found: bool) -> None:
+    scene = Scene()
+    for at in range(1, 41):
+        # A restart makes a new group, whose numbers begin at 0.
+        group, since = (1, 0) if at <= 20 else (2, 20)
+        throttled = share * (at - since) if at > 5 else 0.0
+        scene.group(at, "/planner", group=group, throttled_seconds=throttled)
+    found = scene.story(tmp_path).findings
+    assert bool(found) is is_found
+    for finding in found:
+        what, cause = text_of(finding)
+        assert what == (
+            "/planner was throttled by its CPU limit, first in the 10 s before 6.000 s after the "
+            "start."
+        )
+        assert cause == "Cause: cpu_max stopped it for 12 s in 39 s."
+
+
+def test_what_the_kernel_kills_and_refuses_for_limits(tmp_path: Path) -> None:
+    scene = Scene()
+    for at in range(1, 11):
+        scene.group(at, "/mapper", oom_kills=(at >= 4) + 2 * (at >= 7), pids_max_hits=at // 10)
+        scene.group(at, "/fine")
+    oom, refused = scene.story(tmp_path).findings
+    assert (oom.kind, oom.who, oom.times_ns) == ("oom", "/mapper", (ns(4), ns(7)))
+    assert "processes killed: 3; that is, " in text_of(oom)[1]
+    assert (refused.kind, refused.who, refused.times_ns) == ("pids_max", "/mapper", (ns(10),))
+
+
+@pytest.mark.parametrize(("pause", "is_loop"), [(2, True), (20, False)])
+def test_a_restart_loop(tmp_path: Path, pause: int, is_loop: bool) -> None:
+    scene = Scene()
+    for number in range(6):
+        begin = 1 + number * pause
+        scene.process(begin, ProcessEventKind.STARTED, "/driver", pid=number + 1)
+        end = begin + pause / 2
+        scene.process(end, ProcessEventKind.EXITED, "/driver", pid=number + 1, exit_code=1)
+    died, *loops = scene.story(tmp_path).findings
+    assert (died.kind, len(died.times_ns)) == ("died", 6)
+    assert bool(loops) is is_loop
+    for loop in loops:
+        assert text_of(loop) == (
+            "/driver was restarted in a loop, from 2.000 s after the start on.",
+            "Cause: it failed 6 times within 10 s.",
+        )
+
+
+@pytest.mark.parametrize(("loaded", "is_late"), [(31, True), (6, False)])
+def test_a_late_bring_up_with_its_critical_chain(
+    tmp_path: Path, loaded: float, is_late: bool
+) -> None:
+    scene = Scene()
+    scene.container(0, ContainerState.STARTING)
+    scene.container(2, ContainerState.RUNNING)
+    for name in ("/a", "/b", "/c"):
+        scene.node(2, name, NodeState.REQUESTED)
+        scene.node(3, name, NodeState.LOADING)
+        scene.node(4, name, NodeState.LOADED)
+    scene.node(2, "/map", NodeState.PENDING, reason="waits for topic /tf")
+    scene.node(5, "/map", NodeState.REQUESTED)
+    scene.node(5, "/map", NodeState.LOADING)
+    scene.node(loaded, "/map", NodeState.LOADED)
+    found = scene.story(tmp_path).findings
+    assert bool(found) is is_late
+    for finding in found:
+        assert not finding.is_failure
+        what, cause = text_of(finding)
+        at = "31.000 s after the start"
+        assert what == f"/map in /box was loaded last, 27 s after all other nodes, {at}."
+        assert cause == (
+            "Cause: its container was starting for 2.0 s, its load waited (waits for topic /tf) "
+            "for 3.0 s, its constructor ran for 26 s."
+        )
