@@ -26,6 +26,11 @@ test *arguments:
 search *arguments:
     {{python}} -m pytest --hypothesis-profile search {{arguments}}
 
+# Test members and the control socket with the lowest versions of the dependencies that are permitted.
+lowest:
+    {{python}} -m pip install -q --target build/lowest $(sed -nE '/^dependencies/,/^\]/s/^  "([a-z-]+)>=([0-9.]+).*/\1==\2/p' pyproject.toml)
+    PYTHONPATH=build/lowest .venv/bin/pytest -q -p no:cacheprovider tests/runtime tests/control/test_server.py
+
 # Install the packages of the reader in JavaScript, which one test runs where they are.
 readers:
     npm install --no-audit --no-fund --prefix tests/recording/topic_recorder/reader

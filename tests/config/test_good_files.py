@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -174,8 +173,3 @@ def test_doubles_that_json_does_not_know() -> None:
     shown = json.loads(json.dumps(described, allow_nan=False))["nodes"][0]["parameters"]
     assert shown["a"]["value"] == [".nan", ".inf", "-.inf"]
     assert shown["b"] == {"type": "byte_array", "value": "AAE="}
-
-
-def test_threads_do_not_meet(full: ReplayConfig) -> None:
-    with ThreadPoolExecutor(8) as pool:
-        assert all(config == full for config in pool.map(load_config, [FULL] * 32))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -112,10 +111,6 @@ def test_refused(written: str, fragment: str) -> None:
 
 class _Dumper(yaml.SafeDumper):
     """Writes tuples as lists with the tag that keeps empty ones typed."""
-
-
-def _as_yaml(value: ParameterValue) -> Any:
-    return value.value
 
 
 def _write_array(dumper: yaml.SafeDumper, value: ParameterValue) -> yaml.Node:

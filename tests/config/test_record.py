@@ -56,11 +56,6 @@ def test_never_is_a_time_and_a_size() -> None:
     assert recorded("record: {sampling: {period: never}}\n").sampling.period == math.inf
 
 
-def test_one_key_leaves_the_others_as_they_are() -> None:
-    rotate = recorded("record: {rotate: {size: never}}\n").rotate
-    assert rotate == RotateConfig(size=math.inf)
-
-
 @pytest.mark.parametrize("section", ["", "record: {sync: never, rotate: {size: never}}\n"])
 def test_it_is_described_in_json(section: str) -> None:
     text = f"version: 1\nnodes: [{{command: [x]}}]\n{section}"
@@ -77,12 +72,9 @@ def test_topics_come_beside_the_default_ones() -> None:
     assert record.ros
 
 
-def test_one_budget_for_all_topics() -> None:
+def test_budgets_of_topics() -> None:
     record = recorded("record: {budget: 5 MB}\n")
     assert (record.budget, record.topic_budgets) == (5_000_000, ())
-
-
-def test_budgets_of_topics() -> None:
     section = "record: {budget: {camera/*: 80 MB, /tf: never, '*': 1 kB}}\n"
     record = recorded(section)
     budgets = (("/camera/*", 80_000_000), ("/tf", math.inf), ("*", 1000))

@@ -18,13 +18,17 @@ UNLOADED, CRASHED = ComponentEvent.UNLOADED, ComponentEvent.CRASHED
 LOAD_FAILED = ComponentEvent.LOAD_FAILED
 
 both_modes = pytest.mark.parametrize("mode", MODES)
-ways = pytest.mark.parametrize("how", ["context", "rcl"])
-places = pytest.mark.parametrize("where", ["callback", "constructor", "thread"])
 
 
-@both_modes
-@ways
-@places
+@pytest.mark.parametrize(
+    ("mode", "how", "where"),
+    [
+        ("isolated", "context", "callback"),
+        ("isolated_mt", "context", "constructor"),
+        ("isolated", "rcl", "constructor"),
+        ("isolated_mt", "rcl", "thread"),
+    ],
+)
 def test_an_isolated_node_ends_alone(
     spawn: StartContainer, mode: str, how: str, where: str
 ) -> None:
@@ -56,9 +60,15 @@ def test_a_node_that_does_not_come_to_its_end_is_pressed(spawn: StartContainer) 
         assert only_these_remain(container, talker.pid)
 
 
-@ways
-@places
-@pytest.mark.parametrize("mode", ["standard", "mt"])
+@pytest.mark.parametrize(
+    ("mode", "how", "where"),
+    [
+        ("standard", "context", "callback"),
+        ("mt", "context", "constructor"),
+        ("standard", "rcl", "constructor"),
+        ("mt", "rcl", "thread"),
+    ],
+)
 def test_a_node_that_shares_its_process_ends_the_container_by_name(
     spawn: StartContainer, mode: str, how: str, where: str
 ) -> None:

@@ -48,17 +48,15 @@ def holder(container: Container, lock: str) -> ComponentEvent:
     return event
 
 
-@both_modes
 @pytest.mark.parametrize(
-    ("held", "wanted"),
+    ("mode", "held", "wanted", "number"),
     [
-        ("mutex", "mutex"),
-        ("recursive_mutex", "recursive_mutex"),
-        ("write", "write"),
-        ("write", "read"),
+        ("isolated", "mutex", "mutex", signal.SIGKILL),
+        ("isolated_mt", "recursive_mutex", "recursive_mutex", signal.SIGABRT),
+        ("isolated_mt", "write", "write", signal.SIGKILL),
+        ("isolated", "write", "read", signal.SIGABRT),
     ],
 )
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGABRT])
 def test_a_neighbour_waits_for_a_dead_node(
     spawn: StartContainer, mode: str, held: str, wanted: str, number: signal.Signals
 ) -> None:
@@ -90,10 +88,15 @@ def test_a_lock_that_a_living_node_keeps_is_none_of_the_dead(spawn: StartContain
     assert not status.dead_locks
 
 
-@both_modes
-@pytest.mark.parametrize("place", ["static", "call_once"])
-@pytest.mark.parametrize("how", ["segv", "kill"])
-@pytest.mark.parametrize("in_constructor", [False, True], ids=["callback", "constructor"])
+@pytest.mark.parametrize(
+    ("mode", "place", "how", "in_constructor"),
+    [
+        ("isolated", "static", "segv", False),
+        ("isolated_mt", "static", "kill", True),
+        ("isolated", "call_once", "segv", True),
+        ("isolated_mt", "call_once", "kill", False),
+    ],
+)
 def test_what_a_dead_node_was_initialising_is_begun_anew(
     spawn: StartContainer,
     tmp_path: Path,

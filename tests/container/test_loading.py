@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import psutil
 import pytest
-from play_launch_msgs.msg import ComponentEvent, ControlUnload, NodeStatus
+from play_launch_msgs.msg import ComponentEvent
 
-from tests.support.isolated import ALL_MODES, MODES, children, start
+from tests.support.isolated import ALL_MODES, MODES, children, only_these_remain, start, survives
 
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
@@ -20,17 +19,6 @@ LOADED, UNLOADED, LOAD_FAILED = (
     ComponentEvent.UNLOADED,
     ComponentEvent.LOAD_FAILED,
 )
-
-# A finished thread or two may wait to be joined at any moment; growth would be dozens.
-MOMENTARY = 2
-
-
-def test_a_slow_constructor_blocks_nobody(container: Container) -> None:
-    container.load("SlowConstructor", parameters={"seconds": 3600.0})
-    talker = container.loaded("Talker")
-    container.send(ControlUnload(unique_id=talker.unique_id))
-    container.event(UNLOADED, unique_id=talker.unique_id)
-    assert [node.state for node in container.status().nodes] == [NodeStatus.CONSTRUCTING]
 
 
 @pytest.mark.parametrize("mode", ALL_MODES)
@@ -52,38 +40,39 @@ def test_many_loads_at_once(spawn: StartContainer, package: str, mode: str) -> N
     assert container.shut_down() == 0, container.log.read_text()
 
 
-def test_loading_again_and_again_leaves_nothing_behind(spawn: StartContainer) -> None:
-    container = spawn()
-    usage: list[tuple[int, int]] = []
-    for _ in range(100):
-        for plugin in ("Talker", "Listener"):
-            node = container.loaded(plugin)
-            container.send(ControlUnload(unique_id=node.unique_id))
-            container.event(UNLOADED, unique_id=node.unique_id)
-        usage.append((container.threads(), container.descriptors()))
-    # A finished thread or two may wait to be joined at any moment; growth would stay.
-    assert median(t for t, _ in usage[50:]) <= median(t for t, _ in usage[:50]) + MOMENTARY, usage
-    assert max(d for _, d in usage[5:]) <= max(d for _, d in usage[:5]), usage
-    assert container.shut_down() == 0
+FAILURES: list[tuple[str, dict[str, Any], list[str]]] = [
+    ("Nobody", {"package": "no_such_package"}, ["no_such_package"]),
+    ("Talker", {"package": ""}, ["no package"]),
+    ("Nobody", {}, ["Nobody", "play_launch_demo::Talker"]),
+    ("MissingLibrary", {"package": "play_launch_broken"}, ["libplay_launch_not_there.so"]),
+    ("MissingSymbol", {"package": "play_launch_broken"}, ["undefined symbol", "defined_nowhere"]),
+    ("NotInTheLibrary", {"package": "play_launch_broken"}, ["libplay_launch_demo.so"]),
+    ("ThrowingConstructor", {}, ["no such camera"]),
+    ("ThrowingConstructor", {"parameters": {"standard_exception": False}}, ["int"]),
+    ("Talker", {"parameters": {"rate": "fast"}}, ["rate", "double", "string"]),
+    ("Talker", {"parameters": {"rate": -1.0}}, ["rate", "-1"]),
+    ("Talker", {"extra_arguments": {"use_intra_process_comms": 1}}, ["a boolean"]),
+    ("Talker", {"remap_rules": ["chatter"]}, ["chatter"]),
+    ("Talker", {"node_name": "1st"}, ["1st"]),
+    ("Talker", {"node_namespace": "not absolute!"}, ["not absolute!"]),
+    ("Talker", {"log_level": 60}, ["60"]),
+]
 
 
-def test_failures_are_told_and_survived(container: Container) -> None:
-    cases = {
-        container.load("Nobody", package="no_such_package"): "no_such_package",
-        container.load("Nobody"): "play_launch_demo::Talker",
-        container.load("ThrowingConstructor"): "no such camera",
-        container.load("ThrowingConstructor", parameters={"standard_exception": False}): "int",
-        container.load("Talker", parameters={"rate": "fast"}): "rate",
-        container.load("Talker", extra_arguments={"use_intra_process_comms": 1}): "a boolean",
-        container.load("Talker", remap_rules=["chatter"]): "chatter",
-        container.load("Talker", node_name="1st"): "1st",
-        container.load("Talker", log_level=60): "60",
-        container.load("Talker", package=""): "no package",
-    }
-    for _ in cases.copy():
-        event = container.event(LOAD_FAILED)
-        assert cases.pop(event.attempt) in event.error_message, event.error_message
-    container.loaded("Talker")
+@pytest.mark.parametrize("mode", ["standard", "isolated"])
+def test_failures_have_reasons_and_leave_nothing(spawn: StartContainer, mode: str) -> None:
+    container = start(spawn, mode)
+    with survives(container):
+        cases = {container.load(plugin, **fields): reasons for plugin, fields, reasons in FAILURES}
+        for _ in FAILURES:
+            event = container.event(LOAD_FAILED)
+            for reason in cases.pop(event.attempt):
+                assert reason in event.error_message
+            assert event.signal == 0
+        if mode == "isolated":
+            assert only_these_remain(container)
+        assert container.status().crashes == 0
+        container.loaded("Talker")
 
 
 def test_of_a_failure_s_long_text_the_beginning_is_reported(container: Container) -> None:

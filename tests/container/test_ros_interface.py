@@ -33,15 +33,6 @@ def test_events_before_the_topic_was_offered_are_published(container: Container)
         assert answer.values[0].integer_value == 0
 
 
-def test_a_constructor_that_never_returns_does_not_keep_the_services_away(
-    container: Container,
-) -> None:
-    container.load("SlowConstructor", parameters={"seconds": 3600.0}, node_name="slow")
-    container.event(LOADING)
-    with Probe() as probe:
-        assert probe.call(ListNodes, LIST, ListNodes.Request()).full_node_names == []
-
-
 def test_a_container_without_loads_offers_its_services(container: Container) -> None:
     assert container.status().nodes == []
     with Probe() as probe:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 from std_msgs.msg import String
 
-from tests.support.isolated import MODES, start, survives
+from tests.support.isolated import start, survives
 from tests.support.ros import Probe
 
 if TYPE_CHECKING:
@@ -48,11 +48,10 @@ may_do_anything = os.geteuid() == 0
 has_processors = len(os.sched_getaffinity(0)) > 1
 
 
-@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("how", [*SETTINGS, *(PRIVILEGED if may_do_anything else ())])
-def test_a_setting_of_the_node_s_process(spawn: StartContainer, mode: str, how: str) -> None:
+def test_a_setting_of_the_node_s_process(spawn: StartContainer, how: str) -> None:
     look = {**SETTINGS, **PRIVILEGED}[how]
-    container = start(spawn, mode)
+    container = start(spawn, "isolated_mt")
     with survives(container), Probe() as probe:
         neighbour = container.loaded("Talker", parameters={"rate": 100.0})
         before = look(container.process.pid)
@@ -65,11 +64,10 @@ def test_a_setting_of_the_node_s_process(spawn: StartContainer, mode: str, how: 
         probe.collect(String, "/chatter", 5)
 
 
-@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("how", [*OF_THREADS][: None if has_processors else -1])
-def test_a_setting_of_the_thread_that_calls(spawn: StartContainer, mode: str, how: str) -> None:
+def test_a_setting_of_the_thread_that_calls(spawn: StartContainer, how: str) -> None:
     look = OF_THREADS[how]
-    container = start(spawn, mode)
+    container = start(spawn)
     with survives(container), Probe() as probe:
         neighbour = container.loaded("Talker", parameters={"rate": 100.0})
         before = look(container.process.pid)

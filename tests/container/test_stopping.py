@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import signal
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from play_launch_msgs.msg import ComponentEvent, ControlShutdown
+from play_launch_msgs.msg import ComponentEvent, ControlShutdown, ControlUnload
 
+from tests.support.control_peer import PAUSE
+from tests.support.isolated import (
+    ALL_MODES,
+    MODES,
+    children,
+    is_gone,
+    start,
+    survives,
+)
 from tests.support.shared_memory import segments_of
 
 if TYPE_CHECKING:
@@ -32,29 +42,37 @@ def pending(container: Container, number: signal.Signals) -> bool:
     return any(mask & 1 << (number - 1) for mask in masks)
 
 
-@pytest.mark.parametrize("mode", [(), ("--use_multi_threaded_executor",)], ids=["standard", "mt"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_unloads_everything(
-    spawn: StartContainer, number: signal.Signals, mode: tuple[str, ...]
+def assert_nothing_left(pids: set[int], shared: set[Path]) -> None:
+    # The kernel kills what is left of the children with the container, not before.
+    deadline = time.monotonic() + 5.0
+    while not all(is_gone(pid) for pid in pids):
+        assert time.monotonic() < deadline, pids
+        time.sleep(PAUSE)
+    assert not any(path.exists() for path in shared)
+
+
+@pytest.mark.parametrize("mode", ALL_MODES)
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, None])
+def test_a_stop_unloads_everything(
+    spawn: StartContainer, mode: str, how: signal.Signals | None
 ) -> None:
-    container = spawn(*mode)
+    container = start(spawn, mode)
     ids = {container.loaded(plugin).unique_id for plugin in ("Talker", "Listener", "Echo")}
-    own = segments_of([container.process.pid])
+    pids, own = children(container), segments_of([container.process.pid])
     assert own
-    container.process.send_signal(number)
-    assert {container.event(UNLOADED).unique_id for _ in ids} == ids
+    assert len(pids) == (3 if mode in MODES else 0)
+    if how is None:
+        container.send(ControlShutdown(reason="enough"))
+    else:
+        container.process.send_signal(how)
+    events = [container.event(UNLOADED) for _ in ids]
+    assert {event.unique_id for event in events} == ids
+    assert not any(event.error_message for event in events)
+    if how is None:
+        with pytest.raises(EOFError):
+            container.receive()
     assert container.wait() == 0
-    assert not any(path.exists() for path in own)
-
-
-def test_a_shutdown_unloads_everything(spawn: StartContainer) -> None:
-    container = spawn()
-    ids = {container.loaded(plugin).unique_id for plugin in ("Talker", "Listener")}
-    container.send(ControlShutdown(reason="enough"))
-    assert {container.event(UNLOADED).unique_id for _ in ids} == ids
-    with pytest.raises(EOFError):
-        container.receive()
-    assert container.wait() == 0
+    assert_nothing_left(pids, own)
 
 
 def test_a_container_without_control_channel_stops_too(spawn: StartContainer) -> None:
@@ -66,18 +84,35 @@ def test_a_container_without_control_channel_stops_too(spawn: StartContainer) ->
 
 
 @pytest.mark.alone
+@pytest.mark.parametrize(
+    ("mode", "mechanism"),
+    [
+        ("standard", "shared_memory"),
+        ("isolated", "shared_memory"),
+        ("isolated_mt", "shared_memory"),
+        ("isolated", "process"),
+    ],
+)
 @pytest.mark.parametrize("busy", [False, True], ids=["idle", "constructing"])
-def test_the_end_of_the_channel_ends_the_container(spawn: StartContainer, busy: bool) -> None:
-    container = spawn()
+def test_the_end_of_the_channel_ends_everything(
+    spawn: StartContainer, mode: str, mechanism: str, busy: bool
+) -> None:
+    container = start(spawn, mode, "--isolation", mechanism)
     container.loaded("Talker")
     if busy:
         container.load("SlowConstructor", parameters=FOREVER)
         container.event(LOADING, plugin_name="play_launch_demo::SlowConstructor")
-    own = segments_of([container.process.pid])
+        if mode in MODES:
+            container.status_when(
+                lambda status: all(each.pid != container.process.pid for each in status.nodes),
+                "processes of their own",
+            )
+    pids, own = children(container), segments_of([container.process.pid])
+    assert own
     assert container.peer is not None
     container.peer.close()
-    assert container.wait(timeout=60.0) == 0
-    assert not any(path.exists() for path in own)
+    assert container.wait() == 0
+    assert_nothing_left(pids, own)
 
 
 def test_the_channel_may_end_before_the_hello(spawn: StartContainer) -> None:
@@ -159,3 +194,48 @@ def test_nothing_is_loaded_while_it_stops(spawn: StartContainer) -> None:
     assert "stopping" in getattr(rejected, "reason", ""), rejected
     assert container.event(UNLOADED).error_message == "cancelled"
     assert container.wait() == 0
+
+
+def test_a_constructor_that_does_not_return_is_cut_off(spawn: StartContainer) -> None:
+    container = start(spawn, "isolated", "--stop_timeout", "1")
+    container.loaded("Talker")
+    container.load("SlowConstructor", parameters=FOREVER, node_name="sleeper")
+    container.event(LOADING, full_node_name="/sleeper")
+    container.status_when(
+        lambda status: all(node.pid != container.process.pid for node in status.nodes), "a process"
+    )
+    pids, shared = children(container), segments_of([container.process.pid])
+    container.process.send_signal(signal.SIGTERM)
+    gone = container.event(UNLOADED, full_node_name="/sleeper")
+    assert gone.signal in {signal.SIGTERM, signal.SIGKILL}
+    assert container.wait() == 0
+    assert_nothing_left(pids, shared)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mechanism", ["shared_memory", "process"])
+def test_a_killed_container_takes_its_nodes_along(
+    spawn: StartContainer, mode: str, mechanism: str
+) -> None:
+    container = start(spawn, mode, "--isolation", mechanism)
+    container.loaded("Talker")
+    container.load("SlowConstructor", parameters=FOREVER)
+    container.event(LOADING, plugin_name="play_launch_demo::SlowConstructor")
+    container.status()
+    pids = children(container)
+    container.process.kill()
+    assert container.wait() == -signal.SIGKILL
+    assert_nothing_left(pids, set())
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_node_that_does_not_leave_is_ended(spawn: StartContainer, mode: str) -> None:
+    container = start(spawn, mode, failpoints="container.before_unload=hang")
+    with survives(container):
+        stuck = container.loaded("Talker", node_name="stuck")
+        container.send(ControlUnload(unique_id=stuck.unique_id))
+        gone = container.event(UNLOADED, unique_id=stuck.unique_id)
+        assert gone.signal == signal.SIGTERM
+        assert "leave" in gone.error_message
+        assert is_gone(stuck.pid)
+        container.status_when(lambda status: status.undertaken > 0, "the burial")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from signal import SIGABRT, SIGSEGV, SIGTERM, Signals
 from typing import TYPE_CHECKING
 
@@ -10,23 +9,19 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlUnload
 from std_msgs.msg import String
 
-from tests.support.isolated import MODES, only_these_remain, start, survives
+from tests.support.isolated import only_these_remain, start, survives
 from tests.support.ros import Probe
 
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
 
 UNLOADED, CRASHED = ComponentEvent.UNLOADED, ComponentEvent.CRASHED
-LEFTOVERS = ("object", "value")
-"""A thread_local object, and a value of a pthread key."""
 DEEDS = {
     "fault": (CRASHED, SIGSEGV, "no memory at address 0x0"),
     "throw": (CRASHED, SIGABRT, "thrown by a destructor on purpose"),
     "loop": (UNLOADED, SIGTERM, "a destructor of a thread-local object did not end in time"),
 }
 """The event, the signal and the reason that follow from each."""
-
-both_modes = pytest.mark.parametrize("mode", MODES)
 
 
 def unload(container: Container, unique_id: int, end: int = UNLOADED) -> ComponentEvent:
@@ -42,9 +37,15 @@ def assert_told(event: ComponentEvent, deed: str) -> None:
     assert any("play_launch_demo::" in line for line in event.backtrace), event.backtrace
 
 
-@both_modes
-@pytest.mark.parametrize("leftover", LEFTOVERS)
-@pytest.mark.parametrize("deed", DEEDS)
+@pytest.mark.parametrize(
+    ("mode", "leftover", "deed"),
+    [
+        ("isolated", "object", "fault"),
+        ("isolated_mt", "value", "fault"),
+        ("isolated", "value", "throw"),
+        ("isolated_mt", "object", "loop"),
+    ],
+)
 def test_a_destructor_of_an_unloaded_node_ends_that_node_only(
     spawn: StartContainer, mode: str, leftover: str, deed: str
 ) -> None:
@@ -59,28 +60,6 @@ def test_a_destructor_of_an_unloaded_node_ends_that_node_only(
         assert (event.signal, event.error_message) == (0, "")
         probe.collect(String, "/chatter", 3)
         assert only_these_remain(container, neighbour.pid)
-
-
-@both_modes
-@pytest.mark.parametrize("deed", ["nothing", "fault"])
-def test_a_signal_from_outside(spawn: StartContainer, mode: str, deed: str) -> None:
-    container = start(spawn, mode)
-    with survives(container):
-        node = container.loaded("Leftovers", parameters={"object": deed, "value": deed})
-        os.kill(node.pid, SIGTERM)
-        event = container.event(CRASHED, unique_id=node.unique_id)
-        assert event.signal == (SIGTERM if deed == "nothing" else SIGSEGV)
-        assert only_these_remain(container)
-
-
-@both_modes
-@pytest.mark.parametrize("deed", DEEDS)
-def test_a_stop_of_the_container(spawn: StartContainer, mode: str, deed: str) -> None:
-    container = start(spawn, mode)
-    with survives(container):
-        for leftover in LEFTOVERS:
-            container.loaded("Leftovers", node_name=leftover, parameters={leftover: deed})
-        container.loaded("Talker")
 
 
 @pytest.mark.parametrize("who", ["self", "other"])

@@ -16,7 +16,7 @@ from play_launch.config.load import parse_config
 from play_launch.config.model import ReplayConfig
 from play_launch.config.problems import ConfigError
 from play_launch.deploy.unit import Service, carried, is_acceptable, stop_seconds, unit_text
-from tests.support.replay import COMMAND
+from tests.support.replay import COMMAND, run
 
 from .units import settings_of, verify, words
 
@@ -213,15 +213,7 @@ def test_a_password_in_a_configuration_of_a_middleware_is_a_secret() -> None:
 
 
 def unit(*arguments: str | Path, cwd: Path, **variables: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [COMMAND, "systemd-unit", *arguments],
-        cwd=cwd,
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        env={**os.environ, **variables},
-    )
+    return run("systemd-unit", *arguments, cwd=cwd, env={**os.environ, **variables})
 
 
 def test_the_command_writes_what_systemd_accepts(tmp_path: Path) -> None:

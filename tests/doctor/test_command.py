@@ -14,20 +14,13 @@ import pytest
 
 from play_launch.cli.doctor import examine, lines
 from play_launch.doctor.check_result import Severity, fail, ok, warn
-from tests.support.replay import COMMAND
+from tests.support.replay import run
 
 DOCS = Path(__file__).parents[2] / "docs" / "doctor.md"
 
 
-def run(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [COMMAND, "doctor", *arguments],
-        env={**os.environ, **variables},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+def doctor(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    return run("doctor", *arguments, env={**os.environ, **variables})
 
 
 def findings(result: subprocess.CompletedProcess[str]) -> dict[str, dict[str, Any]]:
@@ -35,7 +28,7 @@ def findings(result: subprocess.CompletedProcess[str]) -> dict[str, dict[str, An
 
 
 def test_this_machine_can_run_what_the_other_tests_run() -> None:
-    result = run("--json")
+    result = doctor("--json")
     assert result.returncode == 0, result.stdout + result.stderr
     assert json.loads(result.stdout)["can_run"] is True
     found = findings(result)
@@ -48,19 +41,19 @@ def test_this_machine_can_run_what_the_other_tests_run() -> None:
 
 
 def test_what_keeps_a_system_from_running_is_said_by_exit_code_and_result() -> None:
-    result = run("--json", ROS_DOMAIN_ID="999")
+    result = doctor("--json", ROS_DOMAIN_ID="999")
     assert result.returncode == 1
     assert json.loads(result.stdout)["can_run"] is False
     levels = {subject: each["level"] for subject, each in findings(result).items()}
     assert [subject for subject, level in levels.items() if level == "fail"] == ["domain"]
-    assert "No system can be started here" in run(ROS_DOMAIN_ID="999").stdout
+    assert "No system can be started here" in doctor(ROS_DOMAIN_ID="999").stdout
 
 
 def test_two_installations_of_ros_are_seen(tmp_path: Path) -> None:
     marker = tmp_path / "share" / "rcl" / "package.xml"
     marker.parent.mkdir(parents=True)
     marker.touch()
-    result = run("--json", AMENT_PREFIX_PATH=str(tmp_path))
+    result = doctor("--json", AMENT_PREFIX_PATH=str(tmp_path))
     found = findings(result)
     if found["ROS"]["level"] == "ok":
         pytest.skip("ROS does not come from wheels here, so that there is one installation only")
@@ -69,7 +62,7 @@ def test_two_installations_of_ros_are_seen(tmp_path: Path) -> None:
 
 
 def test_a_middleware_that_is_not_there_is_named_and_the_rest_still_checked() -> None:
-    result = run("--json", RMW_IMPLEMENTATION="rmw_of_nobody")
+    result = doctor("--json", RMW_IMPLEMENTATION="rmw_of_nobody")
     found = findings(result)
     assert result.returncode == 1
     assert found["middleware"]["level"] == "fail"
@@ -81,7 +74,7 @@ def test_a_rclpy_that_does_not_load_is_diagnosed(tmp_path: Path) -> None:
     module = tmp_path / "rclpy" / "__init__.py"
     module.parent.mkdir()
     module.write_text("raise ImportError('made for another Python')", encoding="utf-8")
-    result = run("--json", PYTHONPATH=str(tmp_path))
+    result = doctor("--json", PYTHONPATH=str(tmp_path))
     assert result.returncode == 1
     assert result.stderr == ""
     found = findings(result)

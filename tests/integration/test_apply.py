@@ -4,63 +4,35 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 from pathlib import Path
-from typing import Any
 
 import pytest
 from mcap.reader import make_reader
 
 from benchmarks import correspondence
 from benchmarks.correspondence import Letters, noticed
-from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.replay import Replay, replaying, run
+from tests.support.scenes import written
 from tests.support.waiting import until
 
 RATE = 10.0
 """Messages of a node in a second."""
 
 
-def write(path: Path, system: dict[str, Any]) -> Path:
-    # YAML holds JSON.
-    path.write_text(json.dumps(system), encoding="utf-8")
-    return path
-
-
-def command(replay: Replay, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [COMMAND, *arguments, "--session", str((replay.log_dir / "latest").resolve())],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-
-
-def pids(replay: Replay) -> dict[str, int]:
-    rows = json.loads(command(replay, "ps", "--json").stdout)
-    return {row["name"]: row["pid"] for row in rows}
-
-
 def all_loaded(replay: Replay, count: int) -> None:
     loaded: set[str] = set()
-
-    def done(event: dict[str, Any]) -> bool:
-        if event["event"] == "node" and event["state"] == "loaded":
-            loaded.add(event["node"])
-        return len(loaded) == count
-
-    replay.read_until(done, f"{count} nodes loaded")
-    # A session can be operated a moment after its start.
-    until(lambda: command(replay, "ps").returncode == 0, "a session that answers")
+    while len(loaded) < count:
+        loaded.add(replay.until(event="node", state="loaded")["node"])
+    replay.until_operable()
 
 
 def test_what_is_not_changed_runs_on_and_loses_no_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = correspondence.nodes(RATE)
-    config = write(tmp_path / "system.yaml", correspondence.system(before))
+    config = written(tmp_path / "system.yaml", **correspondence.system(before))
     after = correspondence.changed(before, RATE)
-    target = write(tmp_path / "target.yaml", correspondence.system(after))
+    target = written(tmp_path / "target.yaml", **correspondence.system(after))
     intact = correspondence.untouched()
     with correspondence.figures() as figures:
         for name, value in figures.environment.items():
@@ -79,8 +51,8 @@ def test_what_is_not_changed_runs_on_and_loses_no_message(
             all_loaded(replay, len(before))
             start = hear_more(list(before))
             assert all(each.missing == each.began_anew == 0 for each in start.values())
-            pids_before = pids(replay)
-            found = command(replay, "diff", target, "--json")
+            pids_before = replay.pids()
+            found = replay.ask("diff", target, "--json")
             assert found.returncode == 1, found.stderr
             assert {
                 (step["name"], step["action"]) for step in json.loads(found.stdout)["steps"]
@@ -90,7 +62,7 @@ def test_what_is_not_changed_runs_on_and_loses_no_message(
                 ("/isolated_mt:/node11", "remove"),
                 ("/standard:/node30", "add"),
             }
-            applied = command(replay, "apply", target)
+            applied = replay.ask("apply", target)
             assert applied.returncode == 0, applied.stderr
             assert "/standard:/node3: set done" in applied.stdout
 
@@ -105,19 +77,19 @@ def test_what_is_not_changed_runs_on_and_loses_no_message(
             hear_more(intact)
             assert noticed(figures, [12])[12].heard == silent
 
-            pids_after = pids(replay)
+            pids_after = replay.pids()
             kept = pids_before.keys() - {"/node7", "/node11"}
             assert {name: pids_after[name] for name in kept} == {
                 name: pids_before[name] for name in kept
             }
             assert pids_after.keys() - pids_before.keys() == {"/node30"}
-            note = command(replay, "param", "get", "/node3", "note", "--json")
+            note = replay.ask("param", "get", "/node3", "note", "--json")
             assert json.loads(note.stdout) == {"note": "changed"}
 
-            again = command(replay, "diff", target)
+            again = replay.ask("diff", target)
             assert (again.returncode, again.stdout) == (0, "nothing differs\n")
-            assert command(replay, "apply", target).returncode == 0
-            assert pids(replay) == pids_after
+            assert replay.ask("apply", target).returncode == 0
+            assert replay.pids() == pids_after
     with replay.bag.open("rb") as file:
         attached = {each.name: each.data for each in make_reader(file).iter_attachments()}
     assert attached["applied/1/config.yaml"] == target.read_bytes()
@@ -154,35 +126,35 @@ def edited(path: Path, old: str, new: str) -> Path:
 def test_a_failure_says_how_far_it_came_and_can_be_rolled_back(tmp_path: Path, small: Path) -> None:
     with replaying(small, tmp_path / "logs") as replay:
         all_loaded(replay, 1)
-        before = pids(replay)
+        before = replay.pids()
         line = next(each for each in SMALL.splitlines(keepends=True) if "first" in each)
         bad = line.replace("Talker", "NoSuchClass").replace("first", "second")
         target = edited(small, line, line + bad)
-        failed = command(replay, "apply", target)
+        failed = replay.ask("apply", target)
         assert failed.returncode == 1
         assert "/box:/second" in failed.stderr
         assert "0 of 1 steps are done" in failed.stderr
-        assert pids(replay).items() >= before.items()
+        assert replay.pids().items() >= before.items()
         # The failed node is what is left to do.
-        left = json.loads(command(replay, "diff", target, "--json").stdout)
+        left = json.loads(replay.ask("diff", target, "--json").stdout)
         assert [(each["name"], each["action"]) for each in left["steps"]] == [
             ("/box:/second", "load")
         ]
-        assert command(replay, "apply", small).returncode == 0
-        back = command(replay, "apply", target, "--rollback-on-failure")
+        assert replay.ask("apply", small).returncode == 0
+        back = replay.ask("apply", target, "--rollback-on-failure")
         assert back.returncode == 1
         assert "rolled back" in back.stderr
-        assert pids(replay) == before
-        assert command(replay, "diff", small).returncode == 0
+        assert replay.pids() == before
+        assert replay.ask("diff", small).returncode == 0
 
 
 def test_a_process_with_another_command_is_another_process(tmp_path: Path, small: Path) -> None:
     with replaying(small, tmp_path / "logs") as replay:
         all_loaded(replay, 1)
-        before = pids(replay)
-        done = command(replay, "apply", edited(small, '"600"', '"601"'))
+        before = replay.pids()
+        done = replay.ask("apply", edited(small, '"600"', '"601"'))
         assert done.returncode == 0, done.stderr
-        after = pids(replay)
+        after = replay.pids()
         assert after["/sleeper"] != before["/sleeper"]
         assert after["/first"] == before["/first"]
         assert after["/box"] == before["/box"]
@@ -191,24 +163,19 @@ def test_a_process_with_another_command_is_another_process(tmp_path: Path, small
 def test_mistakes_are_found_before_anything_is_asked(tmp_path: Path, small: Path) -> None:
     with replaying(small, tmp_path / "logs") as replay:
         all_loaded(replay, 1)
-        before = pids(replay)
+        before = replay.pids()
         target = edited(small, "name: box", "nmae: box")
         for verb in ("diff", "apply"):
-            refused = command(replay, verb, target)
+            refused = replay.ask(verb, target)
             assert refused.returncode == 2
             assert "edited.yaml:4:" in refused.stderr
-        assert pids(replay) == before
+        assert replay.pids() == before
 
 
 def test_without_a_session_diff_reports_an_error_and_no_difference(
     tmp_path: Path, small: Path
 ) -> None:
-    result = subprocess.run(
-        [COMMAND, "diff", small, "--session", tmp_path],
-        check=False,
-        capture_output=True,
-        text=True,
-    )
+    result = run("diff", small, "--session", tmp_path)
     assert result.returncode == 2
     assert "no session" in result.stderr
 
@@ -216,7 +183,7 @@ def test_without_a_session_diff_reports_an_error_and_no_difference(
 def test_a_file_that_is_watched_is_applied_when_it_is_saved(tmp_path: Path, small: Path) -> None:
     with replaying(small, tmp_path / "logs", "--watch", "--duration", "600s") as replay:
         all_loaded(replay, 1)
-        before = pids(replay)
+        before = replay.pids()
         line = next(each for each in SMALL.splitlines(keepends=True) if "first" in each)
         small.write_text(SMALL.replace("version: 1", "version: one"), encoding="utf-8")
         replay.read_until(
@@ -228,22 +195,17 @@ def test_a_file_that_is_watched_is_applied_when_it_is_saved(tmp_path: Path, smal
         small.with_name("new.yaml").write_text(edit, encoding="utf-8")
         small.with_name("new.yaml").replace(small)
         replay.read_until_states({"/second": "loaded"})
-        assert pids(replay).items() >= before.items()
+        assert replay.pids().items() >= before.items()
         # Copied in place, with the times of the original.
         times = small.stat()
         small.write_text(edit.replace("second", "fourth"), encoding="utf-8")
         os.utime(small, ns=(times.st_atime_ns, times.st_mtime_ns))
         replay.read_until_states({"/fourth": "loaded"})
         # The duration that the command line gave is no difference.
-        assert command(replay, "diff", small).returncode == 0
+        assert replay.ask("diff", small).returncode == 0
 
 
 def test_a_recording_is_not_watched(tmp_path: Path) -> None:
-    result = subprocess.run(
-        [COMMAND, "replay", tmp_path / "session.mcap", "--watch"],
-        check=False,
-        capture_output=True,
-        text=True,
-    )
+    result = run("replay", tmp_path / "session.mcap", "--watch")
     assert result.returncode == 2
     assert "leave out --watch" in result.stderr

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.integration.test_apply import all_loaded, command, pids
+from tests.integration.test_apply import all_loaded
 from tests.support.replay import Replay, replaying
 
 MAIN = """
@@ -53,7 +53,7 @@ def main(tmp_path: Path) -> Path:
 
 
 def parameters(replay: Replay) -> dict[str, Any]:
-    found = json.loads(command(replay, "param", "dump", "/first", "--json").stdout)
+    found = json.loads(replay.ask("param", "dump", "/first", "--json").stdout)
     values: dict[str, Any] = found["/first"]
     return values
 
@@ -77,7 +77,7 @@ def test_files_that_are_included_or_named_are_watched_and_arguments_stay(
     arguments = ("greeting:=Hello", "--watch")
     with replaying(main, tmp_path / "logs", *arguments) as replay:
         all_loaded(replay, 1)
-        before = pids(replay)
+        before = replay.pids()
         assert parameters(replay)["text"] == "Hello from a part"
         happened = steps(replay)
         (tmp_path / "values.yaml").write_text(VALUES.replace("20.0", "40.0"), encoding="utf-8")
@@ -96,21 +96,21 @@ def test_files_that_are_included_or_named_are_watched_and_arguments_stay(
         assert "parts/more.yaml:2:" in next(happened)
         more.write_text(SECOND, encoding="utf-8")
         assert next(happened) == "done"
-        after = pids(replay)
+        after = replay.pids()
         assert after["/box"] == before["/box"]
         assert "/other" in after
         # Another one of the same content is no change.
-        assert command(replay, "diff", main, "greeting:=Hello").returncode == 0
+        assert replay.ask("diff", main, "greeting:=Hello").returncode == 0
 
 
 def test_arguments_of_diff_and_apply(main: Path, tmp_path: Path) -> None:
     with replaying(main, tmp_path / "logs", "greeting:=Hello") as replay:
         all_loaded(replay, 1)
-        before = pids(replay)
-        assert command(replay, "diff", main, "greeting:=Hello").returncode == 0
+        before = replay.pids()
+        assert replay.ask("diff", main, "greeting:=Hello").returncode == 0
         options = "--container-type", "same", "greeting:=Hello"
-        assert command(replay, "diff", main, *options).returncode == 0
-        found = command(replay, "diff", main)
+        assert replay.ask("diff", main, *options).returncode == 0
+        found = replay.ask("diff", main)
         assert found.returncode == 1
         assert "nothing from a part" in found.stdout
         for verb in ("diff", "apply"):
@@ -118,12 +118,12 @@ def test_arguments_of_diff_and_apply(main: Path, tmp_path: Path) -> None:
                 ("greting:=x", "nothing reads the argument greting"),
                 ("x", "write name:=value"),
             ):
-                refused = command(replay, verb, main, wrong)
+                refused = replay.ask(verb, main, wrong)
                 assert refused.returncode == 2
                 assert words in refused.stderr
-        done = command(replay, "apply", main, "greeting:=It's := me")
+        done = replay.ask("apply", main, "greeting:=It's := me")
         assert done.returncode == 0, done.stderr
         assert parameters(replay)["text"] == "It's := me from a part"
         # A node that has no time to answer is reloaded.
-        assert pids(replay)["/box"] == before["/box"]
-        assert command(replay, "diff", main, "greeting:=It's := me").returncode == 0
+        assert replay.pids()["/box"] == before["/box"]
+        assert replay.ask("diff", main, "greeting:=It's := me").returncode == 0

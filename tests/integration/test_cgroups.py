@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,8 @@ import pytest
 
 from play_launch.process.cgroups.group import Group
 from tests.support.control_groups import control_group, group_of
-from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.replay import Replay, replaying, run
+from tests.support.scenes import node, written
 from tests.support.waiting import until
 
 
@@ -24,25 +24,10 @@ def base() -> Iterator[Path]:
         yield path
 
 
-def node(name: str, **more: Any) -> dict[str, Any]:
-    plugin = "play_launch_demo::Talker"
-    return {"package": "play_launch_demo", "plugin": plugin, "name": name, **more}
-
-
 def write(path: Path, base: Path, *, cgroups: dict[str, Any] | None = None, **keys: Any) -> Path:
     loading = {"container_type": "isolated", "cgroups": {"base_path": str(base), **(cgroups or {})}}
     environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    path.write_text(
-        json.dumps(
-            {
-                "version": 1,
-                "environment": environment,
-                "composable_node_loading": loading,
-                **keys,
-            }
-        )
-    )
-    return path
+    return written(path, environment=environment, composable_node_loading=loading, **keys)
 
 
 FAST = {"max_restarts": 5, "backoff": {"initial": "10 ms"}}
@@ -57,19 +42,7 @@ SYSTEM: dict[str, Any] = {
 }
 
 
-def pids_of_all(replay: Replay) -> dict[str, int]:
-    """Wait until all is there."""
-    pids: dict[str, int] = {}
-
-    def complete(event: dict[str, Any]) -> bool:
-        if event["event"] == "node" and event["state"] == "loaded":
-            pids[event["node"]] = event["pid"]
-        if event["event"] == "process" and event["kind"] == "started":
-            pids[event["name"]] = event["pid"]
-        return len(pids) == 8
-
-    replay.read_until(complete, "all")
-    return pids
+EVERYTHING = ("/shared", "/a", "/b", "/apart", "/c", "/together", "/d", "/shell")
 
 
 def sessions(base: Path) -> list[Path]:
@@ -79,7 +52,7 @@ def sessions(base: Path) -> list[Path]:
 def test_everybody_is_born_in_a_leaf_and_nothing_is_left(base: Path, tmp_path: Path) -> None:
     config = write(tmp_path / "a.yaml", base, cgroups={"enabled": True}, **SYSTEM)
     with replaying(config, tmp_path / "log") as replay:
-        pids = pids_of_all(replay)
+        pids = until_up(replay, *EVERYTHING)
         (session,) = sessions(base)
         inside = {
             name: group_of(pid).partition(f"{session.name}/")[2] for name, pid in pids.items()
@@ -95,18 +68,13 @@ def test_everybody_is_born_in_a_leaf_and_nothing_is_left(base: Path, tmp_path: P
             "/d": "together",
             "/shell": "shell",
         }
-        rows = usage(replay)
+        rows = {row["name"]: row for row in json.loads(replay.ask("ps", "--json").stdout)}
         # A node without a process of its own is in the group of its container.
         assert {name for name, row in rows.items() if row["cgroup"] is None} == {"/d"}
         assert rows["/shared"]["cgroup"]["cpu_seconds"] > rows["/a"]["cgroup"]["cpu_seconds"] > 0
         # A node that comes back is born in a group of its own, and the old one goes.
         os.kill(pids["/a"], signal.SIGKILL)
-        again = replay.read_until(
-            lambda event: (
-                event["event"] == "node" and (event["node"], event["state"]) == ("/a", "loaded")
-            ),
-            "a reload",
-        )["pid"]
+        again = until_up(replay, "/a")["/a"]
         first, second = inside["/a"], group_of(again).partition(f"{session.name}/")[2]
         assert second != first
         assert second.startswith("shared/a.")
@@ -118,18 +86,6 @@ def test_everybody_is_born_in_a_leaf_and_nothing_is_left(base: Path, tmp_path: P
     assert not Path(f"/proc/{sleeper[0]}").exists()
 
 
-def usage(replay: Replay) -> dict[str, Any]:
-    """What ``ps --json`` says of everything, by name."""
-    asked = subprocess.run(
-        [COMMAND, "ps", "--json", "--session", replay.log_dir / "latest"],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-    )
-    return {row["name"]: row for row in json.loads(asked.stdout)}
-
-
 def pids_in(group: Path) -> list[int]:
     return [int(pid) for pid in (group / "cgroup.procs").read_text().split()]
 
@@ -137,7 +93,7 @@ def pids_in(group: Path) -> list[int]:
 def test_the_groups_of_a_killed_supervisor_are_removed(base: Path, tmp_path: Path) -> None:
     config = write(tmp_path / "a.yaml", base, cgroups={"enabled": True}, **SYSTEM)
     with replaying(config, tmp_path / "log") as replay:
-        pids_of_all(replay)
+        until_up(replay, *EVERYTHING)
         (session,) = sessions(base)
         os.kill(replay.pid, signal.SIGKILL)
         replay.process.wait()
@@ -184,30 +140,14 @@ def test_what_somebody_does_to_the_groups_loses_nothing(base: Path, tmp_path: Pa
 
 def until_up(replay: Replay, *names: str) -> dict[str, int]:
     """Wait until each is loaded, or started, from now on."""
-    pids: dict[str, int] = {}
-
-    def is_there(event: dict[str, Any]) -> bool:
-        if event["event"] == "node" and event["state"] == "loaded":
-            pids[event["node"]] = event["pid"]
-        if event["event"] == "process" and event["kind"] == "started":
-            pids[event["name"]] = event["pid"]
-        return set(names) <= pids.keys()
-
-    replay.read_until(is_there, f"{names} to be up")
-    return pids
+    return {name: event["pid"] for name, event in replay.read_until_up(*names).items()}
 
 
 def test_required_groups_that_there_are_not_end_the_run(tmp_path: Path) -> None:
     config = write(
         tmp_path / "a.yaml", tmp_path, cgroups={"enabled": True, "required": True}, **SYSTEM
     )
-    ended = subprocess.run(
-        [COMMAND, "replay", config, "--log-dir", tmp_path / "log"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    ended = run("replay", config, "--log-dir", tmp_path / "log")
     assert ended.returncode == 2
     assert "is not in the hierarchy of cgroup v2" in ended.stderr or "no hierarchy" in ended.stderr
     assert "; fix: " in ended.stderr

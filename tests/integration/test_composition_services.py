@@ -172,82 +172,23 @@ def test_parameters_can_be_listed_and_set_like_those_of_any_node(probe: Probe) -
     assert "not_there" in unknown.reason
 
 
-FAILURES: dict[str, tuple[dict[str, Any], list[str]]] = {
-    "unknown package": ({"package_name": "no_such_package"}, ["no_such_package"]),
-    "unknown plugin": (
-        {"plugin_name": f"{DEMO}::Nobody"},
-        ["Nobody", f"{DEMO}::Talker"],
-    ),
-    "missing library": (
-        {
-            "package_name": "play_launch_broken",
-            "plugin_name": "play_launch_broken::MissingLibrary",
-        },
-        ["libplay_launch_not_there.so"],
-    ),
-    "missing symbol": (
-        {
-            "package_name": "play_launch_broken",
-            "plugin_name": "play_launch_broken::MissingSymbol",
-        },
-        ["undefined symbol", "defined_nowhere"],
-    ),
-    "class not in its library": (
-        {
-            "package_name": "play_launch_broken",
-            "plugin_name": "play_launch_broken::NotInTheLibrary",
-        },
-        ["NotInTheLibrary", "libplay_launch_demo.so"],
-    ),
-    "throwing constructor": (
-        {"plugin_name": f"{DEMO}::ThrowingConstructor"},
-        ["no such camera"],
-    ),
-    "constructor that throws no exception object": (
-        {
-            "plugin_name": f"{DEMO}::ThrowingConstructor",
-            "parameters": [
-                parameter("standard_exception", ParameterType.PARAMETER_BOOL, bool_value=False)
-            ],
-        },
-        ["ThrowingConstructor"],
-    ),
-    "parameter of the wrong type": (
-        {"parameters": [parameter("rate", ParameterType.PARAMETER_STRING, string_value="fast")]},
-        ["rate", "double", "string"],
-    ),
-    "parameter value that the node refuses": (
-        {"parameters": [parameter("rate", ParameterType.PARAMETER_DOUBLE, double_value=-1.0)]},
-        ["rate", "-1"],
-    ),
-    "extra argument of the wrong type": (
-        {
-            "extra_arguments": [
-                parameter(
-                    "use_intra_process_comms", ParameterType.PARAMETER_INTEGER, integer_value=1
-                )
-            ]
-        },
-        ["use_intra_process_comms", "bool"],
-    ),
-    "bad node name": ({"node_name": "1st talker"}, ["1st talker"]),
-    "bad namespace": ({"node_namespace": "not absolute!"}, ["not absolute!"]),
-    "bad remap rule": ({"remap_rules": ["chatter"]}, ["chatter"]),
-    "name that is taken": ({"node_name": "taken"}, ["/taken"]),
-}
+FAILURES: list[tuple[dict[str, Any], str]] = [
+    ({"plugin_name": f"{DEMO}::ThrowingConstructor"}, "no such camera"),
+    ({"node_namespace": "not absolute!"}, "not absolute!"),
+    ({"node_name": "taken"}, "/taken"),
+]
+"""Of each way to fail there is one in tests/container/test_loading."""
 
 
 @pytest.mark.usefixtures("container")
-def test_every_failure_has_its_reason_and_the_container_lives_on(probe: Probe) -> None:
+def test_failures_have_reasons_and_the_container_lives_on(probe: Probe) -> None:
     events = probe.listen(ComponentEvent, f"{CONTAINER}/_container/component_events", LATCHED)
     first = load(probe, "Talker", node_name="taken")
     assert first.success
-    for case, (fields, expected) in FAILURES.items():
+    for fields, reason in FAILURES:
         answer = load(probe, "Talker", **fields)
-        assert not answer.success, case
-        for part in expected:
-            assert part in answer.error_message, (case, answer.error_message)
-
+        assert not answer.success
+        assert reason in answer.error_message
     probe.spin_until(
         lambda: sum(e.event_type == ComponentEvent.LOAD_FAILED for e in events) >= len(FAILURES),
         10,

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from tests.support.replay import COMMAND
+from tests.support.replay import run
+from tests.support.scenes import container, node, written
 
 
 @pytest.mark.parametrize(("signal", "code"), [("SEGV", 1), ("ABRT", 1), ("KILL", 0), ("TERM", 0)])
@@ -26,19 +24,11 @@ def test_a_process_that_crashes_is_a_failure_and_one_that_is_killed_is_none(
             "depends_on": [{"name": "faulty", "log": "ready"}],
         },
     ]
-    config = tmp_path / "config.yaml"
     # No time limit is to end it before its handler does.
-    limits = {"sigint": "60 s"}
-    config.write_text(json.dumps({"version": 1, "stop": limits, "nodes": nodes}), encoding="utf-8")
-    run = subprocess.run(
-        [str(COMMAND), "replay", str(config), "--log-dir", str(tmp_path / "logs")],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert run.returncode == code, run.stdout
-    assert (f"stopped: exited with signal {'11' if signal == 'SEGV' else '6'}" in run.stdout) == (
+    config = written(tmp_path, stop={"sigint": "60 s"}, nodes=nodes)
+    done = run("replay", str(config), "--log-dir", str(tmp_path / "logs"))
+    assert done.returncode == code, done.stdout
+    assert (f"stopped: exited with signal {'11' if signal == 'SEGV' else '6'}" in done.stdout) == (
         code == 1
     )
 
@@ -56,38 +46,14 @@ def test_a_process_that_crashes_is_a_failure_and_one_that_is_killed_is_none(
 def test_a_destructor_that_faults_is_a_failure(
     container_type: str, how: str, code: int, text: str, tmp_path: Path
 ) -> None:
-    def component(name: str, plugin: str, **parameters: Any) -> dict[str, Any]:
-        plugin = f"play_launch_demo::{plugin}"
-        return {
-            "package": "play_launch_demo",
-            "plugin": plugin,
-            "name": name,
-            "parameters": parameters,
-        }
-
-    bad = component("bad", "Crasher", how=how, in_destructor=True)
-    nodes = [bad, component("good", "Talker")]
+    bad = node("bad", "Crasher", parameters={"how": how, "in_destructor": True})
     loaded = [{"name": "bad"}, {"name": "good"}]
-    system = {
-        "version": 1,
-        "containers": [
-            {"name": "box", "container_type": container_type, "composable_nodes": nodes}
-        ],
-        "nodes": [
-            {"name": "last", "command": ["true"], "on_exit": "shutdown", "depends_on": loaded}
-        ],
-    }
-    config = tmp_path / "config.yaml"
-    config.write_text(json.dumps(system), encoding="utf-8")
-    run = subprocess.run(
-        [str(COMMAND), "replay", str(config), "--log-dir", str(tmp_path / "logs")],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert run.returncode == code, run.stdout
-    assert text in run.stdout, run.stdout
+    last = {"name": "last", "command": ["true"], "on_exit": "shutdown", "depends_on": loaded}
+    box = container("box", bad, node("good"), container_type=container_type)
+    config = written(tmp_path, containers=[box], nodes=[last])
+    done = run("replay", str(config), "--log-dir", str(tmp_path / "logs"))
+    assert done.returncode == code, done.stdout
+    assert text in done.stdout, done.stdout
     if container_type.startswith("isolated"):
-        assert "lost" not in run.stdout, run.stdout
-        assert ("/bad crashed: " in run.stdout) == (code == 1), run.stdout
+        assert "lost" not in done.stdout, done.stdout
+        assert ("/bad crashed: " in done.stdout) == (code == 1), done.stdout

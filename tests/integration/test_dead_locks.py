@@ -10,81 +10,29 @@ from typing import Any
 
 import psutil
 import pytest
-from rosbags.highlevel import AnyReader
 
-from tests.support.replay import Replay, alive, replaying
+from tests.support.replay import Replay, alive, recorded, replaying, run
+from tests.support.scenes import container, node, written
 
-STARTED, READY, EXITED, RESTARTING, STOPPING = [
-    "started",
-    "ready",
-    "exited",
-    "restarting",
-    "stopping",
-]
 PROCESS = 2
 
-CONFIG = """
-version: 1
-containers:
-  - name: lab
-    container_type: {kind}
-    isolation: shared_memory
-    on_crash: ignore
-    composable_nodes:
-      - package: play_launch_demo
-        plugin: play_launch_demo::Locker
-        name: holder
-        parameters: {{lock: mutex, hold_from: 1}}
-      - package: play_launch_demo
-        plugin: play_launch_demo::Locker
-        name: waiting
-        parameters: {{lock: mutex, rate: 1000.0}}
-      - package: play_launch_demo
-        plugin: play_launch_demo::Locker
-        name: busy
-        parameters: {{lock: none, hold_from: 1}}
-"""
 NODES = ("/holder", "/waiting", "/busy")
 
 
 def configuration(path: Path, kind: str) -> Path:
-    file = path / "locks.yaml"
-    file.write_text(CONFIG.format(kind=kind), encoding="utf-8")
-    return file
-
-
-def is_process(kind: str) -> Any:
-    return lambda event: (
-        (event["event"], event.get("name"), event.get("kind"))
-        == (
-            "process",
-            "/lab",
-            kind,
-        )
-    )
-
-
-def loaded(replay: Replay) -> dict[str, dict[str, Any]]:
-    """Wait until all nodes are loaded, from now on; their events."""
-    found: dict[str, dict[str, Any]] = {}
-
-    def done(event: dict[str, Any]) -> bool:
-        if event["event"] == "component" and event["kind"] == "loaded":
-            found[event["full_node_name"]] = event
-        return len(found) == len(NODES)
-
-    replay.read_until(done, "all nodes loaded")
-    return found
+    lockers = [
+        node("holder", "Locker", parameters={"lock": "mutex", "hold_from": 1}),
+        node("waiting", "Locker", parameters={"lock": "mutex", "rate": 1000.0}),
+        node("busy", "Locker", parameters={"lock": "none", "hold_from": 1}),
+    ]
+    how = {"container_type": kind, "isolation": "shared_memory", "on_crash": "ignore"}
+    return written(path, containers=[container("lab", *lockers, **how)])
 
 
 def keeping(replay: Replay) -> int:
     """How many nodes have said that they hold a lock now."""
     lines = (event["text"] for event in replay.seen if event["event"] == "output")
     return sum("Keeping the lock" in line for line in lines)
-
-
-def read(reader: AnyReader, raw: bytes, kind: str) -> Any:
-    return reader.deserialize(raw, kind)
 
 
 @pytest.fixture(scope="module")
@@ -101,51 +49,48 @@ def test_a_container_whose_living_nodes_wait_for_a_dead_one_is_started_anew(
     kind: str, tmp_path: Path
 ) -> None:
     with replaying(configuration(tmp_path, kind), tmp_path / "logs") as replay:
-        first = loaded(replay)
-        container = next(event for event in replay.seen if is_process("started")(event))
+        first = replay.read_until_up(*NODES)
+        started = replay.told(name="/lab", kind="started")[0]
         # The busy one keeps a lock as well, that of nobody.
         if keeping(replay) < 2:
             replay.read_until(lambda _: keeping(replay) == 2, "that the lock is held")
-        family = [psutil.Process(event["pid"]) for event in first.values()]
+        family = [psutil.Process(first[name]["pid"]) for name in NODES]
         os.kill(first["/holder"]["pid"], signal.SIGKILL)
-        stopping = replay.read_until(is_process("stopping"), "that it is found")
+        stopping = replay.until(name="/lab", kind="stopping")
         assert "a node died with a lock" in stopping["message"]
         assert f"of process {first['/waiting']['pid']} waits" in stopping["message"]
         assert f"held by process {first['/holder']['pid']}" in stopping["message"]
-        exited = replay.read_until(is_process("exited"), "its end")
-        assert (exited["pid"], exited["signal"]) == (container["pid"], signal.SIGKILL)
-        second = loaded(replay)
+        exited = replay.until(name="/lab", kind="exited")
+        assert (exited["pid"], exited["signal"]) == (started["pid"], signal.SIGKILL)
+        second = replay.read_until_up(*NODES)
         assert not alive(family)
-        assert not {event["pid"] for event in first.values()} & {
-            event["pid"] for event in second.values()
+        assert not {each["pid"] for each in first.values()} & {
+            each["pid"] for each in second.values()
         }
         replay.process.send_signal(signal.SIGTERM)
         replay.read_all()
     assert replay.process.returncode == 128 + signal.SIGTERM
-    crashes = [
-        event
-        for event in replay.seen
-        if event["event"] == "component" and event["kind"] == "crashed"
-    ]
+    crashes = replay.told(event="component", kind="crashed")
     assert [(each["full_node_name"], each["signal"]) for each in crashes] == [
         ("/holder", signal.SIGKILL)
     ]
-    with AnyReader([replay.bag]) as reader:
-        chain = [
-            message.state
-            for connection, _, raw in reader.messages()
-            if connection.topic == "/play_launch/states"
-            and (message := read(reader, raw, connection.msgtype)).name == "/lab"
-            and message.kind == PROCESS
-        ]
-    assert chain == [
-        *(STARTED, READY, STOPPING, EXITED, RESTARTING),
-        *(STARTED, READY, STOPPING, EXITED),
+    chain = [
+        each.state
+        for each in recorded(replay.bag, "/play_launch/states")
+        if (each.kind, each.name) == (PROCESS, "/lab")
     ]
+    assert chain == [
+        *("started", "ready", "stopping", "exited", "restarting"),
+        *("started", "ready", "stopping", "exited"),
+    ]
+    explained = run("explain", replay.bag, code=1).stdout
+    assert "/holder in /lab crashed" in explained
+    assert "/lab was killed: a node died with a lock" in explained
+    assert "Also affected: /lab, /waiting" in explained
 
 
 def test_nodes_that_hang_without_a_death_are_told_of_and_left_alone(left_alone: Replay) -> None:
-    loaded(left_alone)
+    left_alone.read_until_up(*NODES)
     told: set[str] = set()
 
     def all_told(event: dict[str, Any]) -> bool:
@@ -157,5 +102,5 @@ def test_nodes_that_hang_without_a_death_are_told_of_and_left_alone(left_alone: 
     left_alone.read_until(all_told, "that they are busy")
     left_alone.process.send_signal(signal.SIGTERM)
     left_alone.read_all()
-    assert len([event for event in left_alone.seen if is_process("started")(event)]) == 1
-    assert not [event for event in left_alone.seen if is_process("restarting")(event)]
+    assert len(left_alone.told(name="/lab", kind="started")) == 1
+    assert not left_alone.told(name="/lab", kind="restarting")

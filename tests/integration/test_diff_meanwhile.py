@@ -7,27 +7,25 @@ import os
 import signal
 import subprocess
 from pathlib import Path
-from typing import Any
 
 from mcap.reader import make_reader
 
-from tests.support.replay import COMMAND, replaying
+from tests.support.replay import COMMAND, replaying, run
+from tests.support.scenes import written
 from tests.support.waiting import until
 
 DEAF = "trap '' INT; echo deaf; while :; do sleep 0.1; done"
 
 
 def write(path: Path, text: str) -> Path:
-    node = {"name": "deaf", "command": ["sh", "-c", f"{DEAF} {text}"]}
-    limits = {"sigint": "10 min"}
-    path.write_text(json.dumps({"version": 1, "stop": limits, "nodes": [node]}), encoding="utf-8")
-    return path
+    deaf = {"name": "deaf", "command": ["sh", "-c", f"{DEAF} {text}"]}
+    return written(path, stop={"sigint": "10 min"}, nodes=[deaf])
 
 
 def test_diff_says_that_a_configuration_is_being_applied(tmp_path: Path) -> None:
     before, after = write(tmp_path / "before.yaml", "# 1"), write(tmp_path / "after.yaml", "# 2")
     with replaying(before, tmp_path / "logs") as replay:
-        deaf = replay.read_until(lambda each: each.get("text") == "deaf", "a deaf process")
+        deaf = replay.until(text="deaf")
         session = ["--session", str(replay.pid)]
         until(lambda: diff(before, *session)[0] == 0, "a session that answers")
         applying = subprocess.Popen(
@@ -40,21 +38,15 @@ def test_diff_says_that_a_configuration_is_being_applied(tmp_path: Path) -> None
         assert f"{after} is being applied; compared with" in said[0]
         assert json.loads(said[1])["applying"] == str(after)
         assert diff(after, *session) == (0, "nothing differs\n")
-        last = replay.read_until(lambda each: each.get("text") == "deaf", "the next process")
+        last = replay.until(text="deaf")
         os.kill(last["pid"], signal.SIGKILL)
 
 
 def test_what_is_saved_meanwhile_is_applied_afterwards(tmp_path: Path) -> None:
     watched, other = write(tmp_path / "watched.yaml", "# 1"), write(tmp_path / "other.yaml", "# 2")
 
-    def is_deaf(event: dict[str, Any]) -> bool:
-        return bool(event.get("text") == "deaf")
-
-    def is_stopping(event: dict[str, Any]) -> bool:
-        return bool(event["event"] == "process" and event["kind"] == "stopping")
-
     with replaying(watched, tmp_path / "logs", "--watch") as replay:
-        pid = replay.read_until(is_deaf, "a deaf process")["pid"]
+        pid = replay.until(text="deaf")["pid"]
         session = ["--session", str(replay.pid)]
         until(lambda: diff(watched, *session)[0] == 0, "a session that answers")
         command = [str(COMMAND), "apply", str(other), "--timeout", "600", *session]
@@ -64,18 +56,18 @@ def test_what_is_saved_meanwhile_is_applied_afterwards(tmp_path: Path) -> None:
         os.kill(pid, signal.SIGKILL)
         assert applying.wait(60) == 0
         for text in ("# 2", "# 3"):
-            pid = replay.read_until(is_deaf, f"the process {text}")["pid"]
+            pid = replay.until(text="deaf")["pid"]
             words = Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8").split("\0")
             assert words[2].endswith(text)
             if text == "# 2":
-                replay.read_until(is_stopping, "the request to end")
+                replay.until(event="process", kind="stopping")
             os.kill(pid, signal.SIGKILL)
 
 
 def test_of_two_that_are_asked_for_at_once_one_is_applied(tmp_path: Path) -> None:
     files = [write(tmp_path / f"{number}.yaml", f"# {number}") for number in range(3)]
     with replaying(files[0], tmp_path / "logs") as replay:
-        deaf = replay.read_until(lambda each: each.get("text") == "deaf", "a deaf process")
+        deaf = replay.until(text="deaf")
         session = ["--session", str(replay.pid)]
         until(lambda: diff(files[0], *session)[0] == 0, "a session that answers")
         command = [str(COMMAND), "apply", "--timeout", "600", *session]
@@ -90,7 +82,7 @@ def test_of_two_that_are_asked_for_at_once_one_is_applied(tmp_path: Path) -> Non
         os.kill(deaf["pid"], signal.SIGKILL)
         assert first.wait(60) == 0
         assert diff(files[1], *session) == (0, "nothing differs\n")
-        last = replay.read_until(lambda each: each.get("text") == "deaf", "the next process")
+        last = replay.until(text="deaf")
         os.kill(last["pid"], signal.SIGKILL)
     # Of each configuration that was applied there is a copy in the recording.
     with replay.bag.open("rb") as stream:
@@ -99,7 +91,6 @@ def test_of_two_that_are_asked_for_at_once_one_is_applied(tmp_path: Path) -> Non
     assert copied == {"1"}
 
 
-def diff(*arguments: str | Path) -> tuple[int, str]:
-    command = [str(COMMAND), "diff", *map(str, arguments)]
-    run = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
-    return run.returncode, run.stdout
+def diff(*words: str | Path) -> tuple[int, str]:
+    done = run("diff", *words)
+    return done.returncode, done.stdout

@@ -14,7 +14,7 @@ import psutil
 import pytest
 import yaml
 
-from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.replay import Replay, replaying, run
 from tests.support.waiting import until
 
 SECRET = "hunter2-of-the-robot"
@@ -95,13 +95,7 @@ def config(held: dict[str, Any], tmp_path: Path) -> Path:
 
 
 def explain(config: Path, *options: str, code: int = 0) -> subprocess.CompletedProcess[str]:
-    result = subprocess.run(
-        [COMMAND, "check", config, "--explain", *options],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    result = run("check", config, "--explain", *options)
     assert result.returncode == code, result.stdout + result.stderr
     return result
 
@@ -113,14 +107,7 @@ def explained(config: Path) -> dict[str | None, dict[str, Any]]:
 
 def running(replay: Replay) -> dict[str | None, psutil.Process]:
     """The processes by name; that of the recording has none."""
-    session = str((replay.log_dir / "latest").resolve())
-    asked = subprocess.run(
-        [COMMAND, "ps", "--json", "--session", session],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    asked = replay.ask("ps", "--json")
     if asked.returncode != 0:
         return {}
     rows = json.loads(asked.stdout)

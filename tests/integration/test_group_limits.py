@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 import time
@@ -24,6 +23,7 @@ from play_launch.process.cgroups.usage import group_of
 from play_launch.supervisor.events import GroupSample
 from tests.support.control_groups import control_group
 from tests.support.replay import Replay, replaying
+from tests.support.scenes import container, node, written
 
 NEEDED = {"cpu", "cpuset", "memory", "pids"}
 FILL = "import os; os.write(1, b'begun\\n'); data = b'x' * (200 << 20)"
@@ -47,15 +47,6 @@ def base() -> Iterator[Path]:
         yield path
 
 
-def node(name: str, plugin: str, **more: Any) -> dict[str, Any]:
-    return {
-        "package": "play_launch_demo",
-        "plugin": f"play_launch_demo::{plugin}",
-        "name": name,
-        **more,
-    }
-
-
 def system(base: Path, environment: dict[str, str]) -> dict[str, Any]:
     first, second, apart = (
         node(name, "ControlLoop", parameters={"figures": place, "samples": 0, "rate": RATE})
@@ -73,8 +64,8 @@ def system(base: Path, environment: dict[str, str]) -> dict[str, Any]:
             "cgroups": {"base_path": str(base)},
         },
         "containers": [
-            {"name": "lab", "composable_nodes": [greedy, first, second]},
-            {"name": "other", "composable_nodes": [apart]},
+            container("lab", greedy, first, second),
+            container("other", apart),
         ],
         "nodes": [
             {
@@ -123,7 +114,7 @@ def measured(greedy: Group, figures: Figures) -> tuple[float, dict[str, float]]:
 def test_limits_hold_and_neighbours_go_on(base: Path, tmp_path: Path) -> None:
     config = tmp_path / "a.yaml"
     with Figures(9) as figures:
-        config.write_text(json.dumps(system(base, figures.environment)))
+        written(config, **system(base, figures.environment))
         with replaying(config, tmp_path / "log") as replay:
             pids = until_all_is_there(replay)
             greedy, second = group_of(pids["/greedy"]), group_of(pids["/second"])

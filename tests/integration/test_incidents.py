@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from play_launch.postmortem.elf_files import read_elf
 from play_launch.postmortem.timeline import read_timeline
 from tests.support.mounts import mounted
-from tests.support.replay import COMMAND, replaying
+from tests.support.replay import COMMAND, replaying, run
 from tests.support.waiting import until
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -58,9 +56,9 @@ def node(name: str, plugin: str, parameters: str = "", package: str = "play_laun
     )
 
 
-def in_threads(config: str, mode: str) -> str:
+def in_threads(config: str) -> str:
     """The same with nodes that are threads of their container: a crash ends all of it."""
-    config = config.replace("container_type: isolated", f"container_type: {mode}")
+    config = config.replace("container_type: isolated", "container_type: standard")
     return config.replace("        on_crash: ignore\n", "")
 
 
@@ -70,13 +68,7 @@ def process(name: str, *command: str, duration: str = "60 s") -> str:
 
 
 def explain(bag: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [str(COMMAND), "explain", str(bag), *options],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    return run("explain", bag, *options)
 
 
 def story(bag: Path, exit_code: int = 1) -> list[str]:
@@ -140,12 +132,11 @@ def test_a_null_pointer_in_a_callback(tmp_path: Path) -> None:
     assert finding["away"] == [{"who": "/victim", "ns": None}]
 
 
-@pytest.mark.parametrize("mode", ["standard", "mt"])
-def test_a_null_pointer_that_ends_the_whole_container(tmp_path: Path, mode: str) -> None:
+def test_a_null_pointer_that_ends_the_whole_container(tmp_path: Path) -> None:
     config = node("victim", "Crasher", "how: segv, after: 0.1")
-    config = in_threads(config, mode)
+    config = in_threads(config)
     with replaying(written(tmp_path, config), tmp_path / "logs") as replay:
-        replay.read_until(lambda event: event.get("kind") == "exited", "that it died")
+        replay.until(kind="exited")
     lines = story(replay.bag)
     check(lines, "/box died", "a null pointer was used", "in thread 'executor'")
     check(lines, source("*reinterpret_cast<volatile int*>"), "libplay_launch_demo.so")
@@ -156,15 +147,6 @@ def test_a_null_pointer_that_ends_the_whole_container(tmp_path: Path, mode: str)
     assert {"/victim", "/bystander"} <= set(finding["hit"])
     (group,) = json.loads(run("crashes", replay.log_dir, "--json").stdout)["crashes"]
     assert any("die" in place for place in group["signature"]["frames"])
-
-
-def test_an_exception_that_ends_the_whole_container(tmp_path: Path) -> None:
-    config = node("victim", "Crasher", "how: deep_exception, after: 0.1")
-    config = in_threads(config, "standard")
-    with replaying(written(tmp_path, config), tmp_path / "logs") as replay:
-        replay.read_until(lambda event: event.get("kind") == "exited", "that it died")
-    lines = story(replay.bag)
-    check(lines, "/box died", "std::runtime_error", source("throw std::runtime_error(text"))
 
 
 def test_an_exception_that_nobody_caught(tmp_path: Path) -> None:
@@ -187,13 +169,10 @@ def test_a_slow_constructor(tmp_path: Path) -> None:
     bag = recorded_until(
         tmp_path, node("engine", "SlowConstructor", "seconds: 1.5"), "/engine", "loaded"
     )
-    check(
-        story(bag),
-        "/engine in /box was slow to construct",
-        "of it on CPU",
-        "play_launch_demo::SlowConstructor",
-        "robot.yaml:",
-    )
+    # On a busy machine the bystander can be slow as well.
+    lines = explain(bag).stdout.splitlines()
+    check(lines, "/engine in /box was slow to construct", "of it on CPU")
+    check(lines, "play_launch_demo::SlowConstructor", "robot.yaml:")
 
 
 def test_a_missing_library(tmp_path: Path) -> None:
@@ -228,50 +207,6 @@ def test_a_node_that_is_deaf_to_its_stop(tmp_path: Path) -> None:
     command = ("sh", "-c", "trap '' INT TERM; echo deaf; while :; do sleep 0.1; done")
     bag = recorded(tmp_path, process("deaf", *command, duration="1 s"))
     check(story(bag), "/deaf did not stop when it was asked to", "SIGKILL", "trap", "robot.yaml:5")
-
-
-LOCKS = """version: 1
-containers:
-  - name: lab
-    container_type: isolated
-    isolation: shared_memory
-    on_crash: ignore
-    composable_nodes:
-      - package: play_launch_demo
-        plugin: play_launch_demo::Locker
-        name: holder
-        parameters: {lock: mutex, hold_from: 1}
-      - package: play_launch_demo
-        plugin: play_launch_demo::Locker
-        name: waiting
-        parameters: {lock: mutex, rate: 1000.0}
-"""
-
-
-def test_a_container_that_a_node_poisoned_when_it_was_killed(tmp_path: Path) -> None:
-    file = tmp_path / "robot.yaml"
-    file.write_text(LOCKS, encoding="utf-8")
-    pids: dict[str, int] = {}
-    held: list[bool] = []
-
-    def is_held(event: dict[str, Any]) -> bool:
-        if event["event"] == "component" and event["kind"] == "loaded":
-            pids[event["full_node_name"]] = event["pid"]
-        held.append("Keeping the lock" in event.get("text", ""))
-        return any(held) and "/holder" in pids
-
-    def is_restarted(event: dict[str, Any]) -> bool:
-        return (event["event"], event.get("kind")) == ("process", "started")
-
-    with replaying(file, tmp_path / "logs") as replay:
-        replay.read_until(is_held, "that the lock is held")
-        os.kill(pids["/holder"], signal.SIGKILL)
-        replay.read_until(is_restarted, "that the container is started again")
-    lines = story(replay.bag)
-    check(lines, "/holder in /lab crashed", "SIGKILL", "play_launch_demo::Locker", "robot.yaml:8")
-    text = explain(replay.bag).stdout
-    assert "/lab was killed: a node died with a lock" in text
-    assert "Also affected: /lab, /waiting" in text
 
 
 def test_a_full_disk(tmp_path: Path) -> None:
@@ -339,7 +274,7 @@ def test_what_starves_others_of_cpu_time(tmp_path: Path) -> None:
         def is_seen() -> bool:
             return "starved others of CPU time" in explain(recording).stdout
 
-        replay.read_until(lambda event: event["event"] == "process", "that one is started")
+        replay.until(event="process")
         try:
             until(is_seen, "pressure that lasts", limit=90.0)
         except AssertionError:
@@ -386,13 +321,3 @@ def test_crashes_are_grouped_and_sessions_compared(crashed: Path, tmp_path: Path
     better = run("compare", crashed, good)
     assert better.returncode == 0
     assert "gone crash" in better.stdout
-
-
-def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [str(COMMAND), *map(str, arguments)],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )

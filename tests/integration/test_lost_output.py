@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from rosbags.highlevel import AnyReader
 
-from tests.support.replay import COMMAND
+from tests.support.replay import COMMAND, recorded, run
 
 CONFIG = """
 version: 1
@@ -51,22 +51,15 @@ def assert_recorded(logs: Path) -> None:
     assert not list(bag.parent.glob("*.active"))
 
 
-def written(logs: Path) -> list[str]:
-    """The lines that were recorded."""
-    with AnyReader([logs / "latest" / "session.mcap"]) as reader:
-        output = [each for each in reader.connections if each.topic == "/play_launch/output"]
-        messages: list[Any] = [
-            reader.deserialize(raw, connection.msgtype)
-            for connection, _, raw in reader.messages(output)
-        ]
-    return [each.msg for each in messages]
+def lines(logs: Path) -> list[str]:
+    """The output in the recording."""
+    bag = logs / "latest" / "session.mcap"
+    return [each.msg for each in recorded(bag, "/play_launch/output")]
 
 
-@pytest.mark.parametrize("arguments", [[], ["--json"]], ids=["plain", "json"])
 @pytest.mark.parametrize(
-    "redirection",
-    [">&-", ">/dev/full", ">/dev/full 2>&1", "<&- >&- 2>&-"],
-    ids=["closed", "full", "both full", "all closed"],
+    ("redirection", "arguments"),
+    [(">&-", []), (">&-", ["--json"]), (">/dev/full 2>&1", []), (">/dev/full", ["--json"])],
 )
 def test_a_run_whose_output_nobody_takes(
     tmp_path: Path, redirection: str, arguments: list[str]
@@ -83,7 +76,7 @@ def test_a_run_whose_output_nobody_takes(
     )
     assert (result.returncode, result.stderr) == (0, "")
     assert_recorded(tmp_path / "logs")
-    assert written(tmp_path / "logs") == [f"line {number + 1}" for number in range(LINES)]
+    assert lines(tmp_path / "logs") == [f"line {number + 1}" for number in range(LINES)]
 
 
 @pytest.mark.parametrize(("controls", "duration"), [(True, "50 s"), (False, "3 s")])
@@ -110,8 +103,15 @@ def test_a_run_whose_terminal_goes(tmp_path: Path, controls: bool, duration: str
     assert_recorded(tmp_path / "logs")
 
 
-@pytest.mark.parametrize("verb", ["check", "version", "doctor", "--help"])
-@pytest.mark.parametrize("redirection", [">/dev/full", ">/dev/full 2>&1"])
+@pytest.mark.parametrize(
+    ("verb", "redirection"),
+    [
+        ("check", ">/dev/full"),
+        ("version", ">/dev/full 2>&1"),
+        ("doctor", ">/dev/full"),
+        ("--help", ">/dev/full"),
+    ],
+)
 def test_a_command_whose_answer_cannot_be_written_fails(
     tmp_path: Path, verb: str, redirection: str
 ) -> None:
@@ -131,17 +131,13 @@ def test_a_command_whose_answer_cannot_be_written_fails(
 
 def test_output_that_the_terminal_s_encoding_lacks_is_escaped(tmp_path: Path) -> None:
     config = tmp_path / "config.yaml"
-    config.write_text(
-        "version: 1\nnodes: [{name: n, command: [printf, '温度\\nlast\\n']}]\n", encoding="utf-8"
-    )
-    result = subprocess.run(
-        [COMMAND, "replay", config, "--log-dir", tmp_path / "logs"],
-        check=False,
-        capture_output=True,
-        env={**os.environ, "PYTHONIOENCODING": "latin-1"},
-        timeout=60,
-    )
+    text = "version: 1\nnodes: [{name: n, command: [printf, '温度\\nlast\\n']}]\n"
+    config.write_text(text, encoding="utf-8")
+    environment = {**os.environ, "PYTHONIOENCODING": "latin-1"}
+    logs = tmp_path / "logs"
+    result = run("replay", config, "--log-dir", logs, text=False, env=environment)
+    stdout: Any = result.stdout
     assert result.returncode == 0
-    assert rb"\u6e29\u5ea6" in result.stdout
-    assert b"last" in result.stdout
-    assert b"Recording:" in result.stdout
+    assert rb"\u6e29\u5ea6" in stdout
+    assert b"last" in stdout
+    assert b"Recording:" in stdout

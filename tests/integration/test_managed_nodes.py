@@ -10,15 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
-from rosbags.highlevel import AnyReader
 
-from tests.support.replay import COMMAND, Replay, replaying
-from tests.support.waiting import until
+from tests.support import scenes
+from tests.support.replay import Replay, recorded, replaying
+from tests.support.scenes import written
 
 WAIT = ("wait", "--for", "active", "--json")
 MANAGED_KIND = 3
-MANAGED = {"package": "play_launch_demo", "plugin": "play_launch_demo::Managed"}
 RCLPY = """
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -42,29 +40,22 @@ executor.spin()
 
 
 def write(folder: Path, **document: Any) -> Path:
-    config = folder / "config.yaml"
-    document = {"version": 1, "record": {"ros": False}, **document}
-    config.write_text(yaml.safe_dump(document), encoding="utf-8")
-    return config
+    return written(folder, record={"ros": False}, **document)
 
 
 def node(name: str, **more: Any) -> dict[str, Any]:
-    return {**MANAGED, "name": name, "autostart": "activate", **more}
+    return scenes.node(name, "Managed", **{"autostart": "activate", **more})
+
+
+WATCHED = scenes.node("watched", "Managed")
 
 
 def container(*nodes: dict[str, Any], kind: str = "isolated") -> dict[str, Any]:
-    return {"name": "c", "container_type": kind, "composable_nodes": list(nodes)}
-
-
-def read_until(replay: Replay, **wanted: str) -> dict[str, Any]:
-    return replay.read_until(
-        lambda event: all(event.get(key) == value for key, value in wanted.items()), f"{wanted}"
-    )
+    return scenes.container("c", *nodes, container_type=kind)
 
 
 def states(replay: Replay, name: str) -> list[str]:
-    events = (event for event in replay.seen if event["event"] == "managed")
-    return [event["state"] for event in events if event["node"] == name]
+    return [event["state"] for event in replay.told(event="managed", node=name)]
 
 
 WAY = ["asked", "configuring", "activating", "active"]
@@ -92,22 +83,15 @@ def test_native_and_rclpy_nodes_become_active_and_what_waits_for_that_starts(
             "depends_on": ["watched"],
         },
     ]
-    containers = [
-        container(node("one"), node("two", autostart="configure"), {**MANAGED, "name": "watched"})
-    ]
+    containers = [container(node("one"), node("two", autostart="configure"), WATCHED)]
     config = write(tmp_path, containers=containers, nodes=nodes)
     with replaying(config, tmp_path / "logs") as replay:
-        read_until(replay, kind="started", name="/last")
+        replay.until(kind="started", name="/last")
     assert states(replay, "/one")[:4] == WAY
     assert states(replay, "/python")[:4] == WAY
     assert states(replay, "/two")[:3] == ["asked", "configuring", "inactive"]
     assert states(replay, "/watched") == [], "nobody brings it anywhere but its helper"
-    with AnyReader([replay.bag]) as reader:
-        messages: list[Any] = [
-            reader.deserialize(raw, connection.msgtype)
-            for connection, _, raw in reader.messages()
-            if connection.topic == "/play_launch/states"
-        ]
+    messages = recorded(replay.bag, "/play_launch/states")
     managed = [each for each in messages if each.kind == MANAGED_KIND and each.name == "/one"]
     assert [each.state for each in managed[:4]] == WAY
     assert managed[0].key == "/c:/one"
@@ -156,16 +140,15 @@ def test_one_that_takes_too_long(tmp_path: Path) -> None:
     slow = node("one", parameters={"takes": 600.0}, transition_timeout="12 s")
     config = write(tmp_path, containers=[container(slow, kind="mt")])
     with replaying(config, tmp_path / "logs") as replay:
-        failed = read_until(replay, event="managed", state="failed")
+        failed = replay.until(event="managed", state="failed")
     assert failed["reason"] == "its transition configure took longer than 12 s"
 
 
 def test_one_without_services_is_reported(tmp_path: Path) -> None:
-    talker = {"package": "play_launch_demo", "plugin": "play_launch_demo::Talker", "name": "talker"}
-    talker |= {"autostart": "activate", "transition_timeout": "300 ms"}
+    talker = scenes.node("talker", autostart="activate", transition_timeout="300 ms")
     config = write(tmp_path, containers=[container(talker)])
     with replaying(config, tmp_path / "logs") as replay:
-        failed = read_until(replay, event="managed", state="failed")
+        failed = replay.until(event="managed", state="failed")
     assert failed["reason"] == "the service /talker/get_state was not available within 0.3 s"
 
 
@@ -192,40 +175,18 @@ def test_an_answer_that_is_lost_is_asked_for_again(tmp_path: Path) -> None:
     command = [sys.executable, "-c", LOSES_FIRST_ANSWERS]
     process = {"name": "python", "command": command, "autostart": "activate"}
     with replaying(write(tmp_path, nodes=[process]), tmp_path / "logs") as replay:
-        read_until(replay, event="managed", node="/python", state="active")
+        replay.until(event="managed", node="/python", state="active")
 
 
 def test_it_is_activated_again_after_a_crash(tmp_path: Path) -> None:
-    crasher = {
-        "package": "play_launch_demo",
-        "plugin": "play_launch_demo::Talker",
-        "name": "talker",
-    }
-    config = write(tmp_path, containers=[container(node("one"), crasher)])
+    config = write(tmp_path, containers=[container(node("one"), scenes.node("talker"))])
     with replaying(config, tmp_path / "logs") as replay:
-        read_until(replay, event="managed", state="active")
-        loaded = [
-            event
-            for event in replay.seen
-            if event["event"] == "node" and (event["node"], event["state"]) == ("/one", "loaded")
-        ]
+        replay.until(event="managed", state="active")
+        loaded = replay.told(event="node", node="/one", state="loaded")
         os.kill(loaded[-1]["pid"], 11)
-        read_until(replay, event="node", node="/one", state="crashed")
-        read_until(replay, event="managed", state="active")
+        replay.until(event="node", node="/one", state="crashed")
+        replay.until(event="managed", state="active")
     assert states(replay, "/one")[:9] == [*WAY, "absent", *WAY]
-
-
-def ask(replay: Replay, *arguments: str, code: int) -> subprocess.CompletedProcess[str]:
-    folder = str((replay.log_dir / "latest").resolve())
-    done = subprocess.run(
-        [COMMAND, *arguments, "--session", folder],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=90,
-    )
-    assert done.returncode == code, done.stdout + done.stderr
-    return done
 
 
 def test_waiting_ends_when_all_of_them_are_active(tmp_path: Path) -> None:
@@ -233,39 +194,33 @@ def test_waiting_ends_when_all_of_them_are_active(tmp_path: Path) -> None:
     slow = node("slow", parameters={"takes": 0.5})
     helper: dict[str, Any] = {"name": "helper", "command": [sys.executable, "-c", HELPER]}
     helper["depends_on"] = [{"name": "slow", "condition": "active"}, "watched"]
-    containers = [container(slow, {**MANAGED, "name": "watched"})]
+    containers = [container(slow, WATCHED)]
     config = write(tmp_path, containers=containers, nodes=[helper])
     with replaying(config, tmp_path / "logs") as replay:
-        read_until(replay, event="managed", node="/slow", state="asked")
-        until(lambda: answers(replay), "a session that answers")
-        done = json.loads(ask(replay, *WAIT, code=0).stdout)
+        replay.until(event="managed", node="/slow", state="asked")
+        replay.until_operable()
+        done = json.loads(replay.ask(*WAIT, code=0).stdout)
         assert done["reached"] is True
         assert {"/slow", "/watched"} <= set(done["names"])
-        read_until(replay, event="managed", node="/slow", state="active")
+        replay.until(event="managed", node="/slow", state="active")
         assert states(replay, "/slow")[:4] == WAY
 
 
-def answers(replay: Replay) -> bool:
-    folder = str((replay.log_dir / "latest").resolve())
-    asked = subprocess.run([COMMAND, "ps", "--session", folder], check=False, capture_output=True)
-    return asked.returncode == 0
-
-
 def test_waiting_for_one_that_nobody_activates(tmp_path: Path) -> None:
-    config = write(tmp_path, containers=[container({**MANAGED, "name": "watched"})])
+    config = write(tmp_path, containers=[container(WATCHED)])
     with replaying(config, tmp_path / "logs") as replay:
-        read_until(replay, event="node", node="/watched", state="loaded")
-        until(lambda: answers(replay), "a session that answers")
-        early = ask(replay, *WAIT, "--timeout", "3", code=4)
+        replay.until(event="node", node="/watched", state="loaded")
+        replay.until_operable()
+        early = replay.ask(*WAIT, "--timeout", "3", code=4)
         assert json.loads(early.stdout)["missing"] == ["/watched"]
         subprocess.run([sys.executable, "-c", HELPER], check=True, timeout=90)
-        assert json.loads(ask(replay, *WAIT, code=0).stdout)["missing"] == []
+        assert json.loads(replay.ask(*WAIT, code=0).stdout)["missing"] == []
 
 
 def test_waiting_ends_with_the_reason_when_a_transition_fails(tmp_path: Path) -> None:
     config = write(tmp_path, containers=[container(node("one", parameters={"fails": "activate"}))])
     with replaying(config, tmp_path / "logs") as replay:
-        read_until(replay, event="node", node="/one", state="loaded")
-        until(lambda: answers(replay), "a session that answers")
-        failed = ask(replay, *WAIT, "--timeout", "60", code=1)
+        replay.until(event="node", node="/one", state="loaded")
+        replay.until_operable()
+        failed = replay.ask(*WAIT, "--timeout", "60", code=1)
         assert "/one: its transition activate failed" in failed.stderr

@@ -7,6 +7,7 @@ import signal
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,28 +15,7 @@ from composition_interfaces.srv import UnloadNode
 
 from tests.support.replay import Replay, replaying
 from tests.support.ros import Probe
-
-CONFIG = """\
-version: 1
-composable_node_loading:
-  restart: {{backoff: {{initial: 100 s, maximum: 100 s}}}}
-containers:
-  - name: {name}
-    container_type: {kind}
-    composable_nodes:
-      - package: play_launch_demo
-        plugin: play_launch_demo::Talker
-        name: talker
-        namespace: /{name}
-      - package: play_launch_demo
-        plugin: play_launch_demo::{other}
-        name: listener
-        namespace: /{name}
-nodes:
-  - name: end
-    command: [sh, -c, 'until [ -e {end} ]; do sleep 0.1; done']
-    on_exit: shutdown
-"""
+from tests.support.scenes import container, node, written
 
 
 @dataclass(frozen=True)
@@ -53,19 +33,6 @@ class Case:
     outcome: tuple[str, str]
     other: str = "Listener"
     do: Callable[[str, dict[str, dict[str, Any]]], None] | None = None
-
-
-def loaded(replay: Replay) -> dict[str, dict[str, Any]]:
-    """Wait for both nodes; their events by name."""
-    found: dict[str, dict[str, Any]] = {}
-
-    def both(event: dict[str, Any]) -> bool:
-        if (event["event"], event.get("kind")) == ("component", "loaded"):
-            found[event["full_node_name"]] = event
-        return len(found) == 2
-
-    replay.read_until(both, "both nodes loaded")
-    return found
 
 
 def unload_the_talker(name: str, nodes: dict[str, dict[str, Any]]) -> None:
@@ -88,6 +55,21 @@ CASES = {
 }
 
 
+def configuration(path: Path, name: str, case: Case, end: Path) -> Path:
+    nodes = [
+        node("talker", namespace=f"/{name}"),
+        node("listener", case.other, namespace=f"/{name}"),
+    ]
+    waiting = f"until [ -e {end} ]; do sleep 0.1; done"
+    ending = {"name": "end", "command": ["sh", "-c", waiting], "on_exit": "shutdown"}
+    return written(
+        path,
+        composable_node_loading={"restart": {"backoff": {"initial": "100 s", "maximum": "100 s"}}},
+        containers=[container(name, *nodes, container_type=case.kind)],
+        nodes=[ending],
+    )
+
+
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Replay]:
     """A run of the command for each case, side by side, until all have come to their outcome."""
@@ -96,13 +78,11 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Replay]:
     replays: dict[str, Replay] = {}
     with ExitStack() as stack:
         for name, case in CASES.items():
-            config = folder / f"{name}.yaml"
-            text = CONFIG.format(name=name, kind=case.kind, other=case.other, end=end)
-            config.write_text(text, encoding="utf-8")
+            config = configuration(folder / f"{name}.yaml", name, case, end)
             replays[name] = stack.enter_context(replaying(config, folder / name))
         for name, case in CASES.items():
             if case.do is not None:
-                case.do(name, loaded(replays[name]))
+                case.do(name, replays[name].read_until_up(f"/{name}/talker", f"/{name}/listener"))
             replays[name].read_until(
                 # At the beginning containers are stopped without a reason.
                 lambda event, to=case.outcome: (
@@ -116,12 +96,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Replay]:
     return replays
 
 
-def unloaded(replay: Replay, node: str) -> dict[str, Any]:
-    return next(
-        event
-        for event in replay.seen
-        if event["event"] == "node" and (event["node"], event["state"]) == (node, "unloaded")
-    )
+def unloaded(replay: Replay, name: str) -> dict[str, Any]:
+    return replay.told(event="node", node=name, state="unloaded")[0]
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -141,9 +117,7 @@ def test_a_node_that_somebody_else_unloads(runs: dict[str, Replay], name: str) -
 
 def test_a_container_that_somebody_else_ends_in_order(runs: dict[str, Replay]) -> None:
     replay = runs["terminated"]
-    exited = next(
-        event for event in replay.seen if event["event"] == "process" and event["kind"] == "exited"
-    )
+    exited = replay.told(event="process", kind="exited")[0]
     assert (exited["exit_code"], exited["signal"]) == (0, 0)
     (container,) = replay.seen[-1]["containers"]
     assert container["state"] == "backoff"
@@ -160,21 +134,12 @@ def test_an_isolated_node_that_shuts_the_ros_context_down(runs: dict[str, Replay
 @pytest.mark.parametrize("name", ["quit_standard", "quit_mt"])
 def test_a_node_that_shuts_the_ros_context_of_all_down(runs: dict[str, Replay], name: str) -> None:
     replay = runs[name]
-    starts = [
-        each
-        for each in replay.seen
-        if (each.get("kind"), each.get("name")) == ("started", f"/{name}")
-    ]
-    assert len(starts) == 1, "it was started again"
-    reasons = [each["error_message"] for each in replay.seen if each.get("kind") == "unloaded"]
+    assert len(replay.told(name=f"/{name}", kind="started")) == 1, "it was started again"
+    reasons = [each["error_message"] for each in replay.told(kind="unloaded")]
     assert reasons
     listener = f"/{name}/listener"
     assert all(f"{listener} shut the ROS context down" in reason for reason in reasons)
     (container,) = replay.seen[-1]["containers"]
     assert container["state"] == "stopped"
-    stops = [
-        each
-        for each in replay.seen
-        if each["event"] == "container" and each.get("state") == "stopped"
-    ]
+    stops = replay.told(event="container", state="stopped")
     assert "a node shut its ROS context down" in stops[-1]["reason"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import resource
 import sys
 from pathlib import Path
@@ -11,7 +10,8 @@ from typing import Any
 import psutil
 
 from play_launch.process.open_files import ENOUGH
-from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.replay import COMMAND, replaying
+from tests.support.scenes import container, node, written
 
 SOFT = 128
 SLEEPERS = 60
@@ -26,38 +26,23 @@ LIMITED = (
 
 def system() -> dict[str, Any]:
     names = [f"sleeper_{number}" for number in range(SLEEPERS)]
-    node = {"package": "play_launch_demo", "plugin": "play_launch_demo::Talker"}
     nodes: list[dict[str, Any]] = [{"name": name, "command": ["sleep", "1000"]} for name in names]
     late = [{"name": name, "condition": "started"} for name in names]
     nodes.append({"name": "limit", "command": ["sh", "-c", "ulimit -n"], "depends_on": late})
+    # Their channels have numbers above the limit by then.
     containers = [
-        {
-            "name": kind,
-            "container_type": kind,
-            # Its channel has a number above the limit by then.
-            "depends_on": late,
-            "composable_nodes": [{**node, "name": f"in_{kind}"}],
-        }
+        container(kind, node(f"in_{kind}"), container_type=kind, depends_on=late)
         for kind in ("standard", "isolated")
     ]
-    return {"version": 1, "containers": containers, "nodes": nodes}
+    return {"containers": containers, "nodes": nodes}
 
 
 def soft_limit(pid: int) -> int:
     return resource.prlimit(pid, resource.RLIMIT_NOFILE)[0]
 
 
-def pid_of(replay: Replay, container: str) -> int:
-    return next(
-        int(each["pid"])
-        for each in replay.seen
-        if each["event"] == "process" and each["name"] == container and each["kind"] == "started"
-    )
-
-
 def test_the_supervisor_may_open_more_and_nodes_as_many_as_the_user(tmp_path: Path) -> None:
-    config = tmp_path / "config.yaml"
-    config.write_text(json.dumps(system()), encoding="utf-8")
+    config = written(tmp_path, **system())
     program = (sys.executable, "-c", LIMITED, str(COMMAND))
     with replaying(config, tmp_path / "logs", program=program) as replay:
         states: dict[str, str] = {}
@@ -77,5 +62,5 @@ def test_the_supervisor_may_open_more_and_nodes_as_many_as_the_user(tmp_path: Pa
             ENOUGH if hard == resource.RLIM_INFINITY else min(hard, ENOUGH)
         )
         assert psutil.Process(replay.pid).num_fds() > SOFT
-        for container in ("/standard", "/isolated"):
-            assert soft_limit(pid_of(replay, container)) == SOFT
+        for name in ("/standard", "/isolated"):
+            assert soft_limit(replay.told(name=name, kind="started")[0]["pid"]) == SOFT

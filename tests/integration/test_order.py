@@ -4,30 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import json
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
-from tests.support.replay import COMMAND, Replay, alive, replaying
+from tests.support.replay import Replay, alive, replaying, run
+from tests.support.scenes import node, written
 from tests.support.waiting import until
 
-TALKER = {"package": "play_launch_demo", "plugin": "play_launch_demo::Talker", "name": "talker"}
-LISTENER = {
-    "package": "play_launch_demo",
-    "plugin": "play_launch_demo::Listener",
-    "name": "listener",
-}
+TALKER = node("talker")
+LISTENER = node("listener", "Listener")
 FOREVER = ["sleep", "600"]
 
 
 def write(folder: Path, **document: Any) -> Path:
-    config = folder / "config.yaml"
-    document = {"version": 1, "record": {"ros": False}, **document}
-    config.write_text(yaml.safe_dump(document), encoding="utf-8")
-    return config
+    return written(folder, record={"ros": False}, **document)
 
 
 def index(replay: Replay, **wanted: str) -> int:
@@ -36,17 +28,6 @@ def index(replay: Replay, **wanted: str) -> int:
         if all(event.get(key) == value for key, value in wanted.items()):
             return position
     raise AssertionError(f"there is no {wanted}; the last ones are {replay.seen[-5:]}")
-
-
-def read_until_started(replay: Replay, *names: str) -> None:
-    left = set(names)
-
-    def is_last(event: dict[str, Any]) -> bool:
-        if event.get("kind") == "started":
-            left.discard(event.get("name", event.get("process", "")))
-        return not left
-
-    replay.read_until(is_last, f"the start of {names}")
 
 
 def test_a_path_that_cannot_be_looked_up_is_waited_for_and_disturbs_no_member(
@@ -59,9 +40,9 @@ def test_a_path_that_cannot_be_looked_up_is_waited_for_and_disturbs_no_member(
         {"name": "later", "command": FOREVER, "depends_on": [{"file": "flag"}]},
     ]
     with replaying(write(tmp_path, nodes=nodes), tmp_path / "log") as replay:
-        read_until_started(replay, "/motor")
+        replay.read_until_up("/motor")
         (tmp_path / "flag").touch()
-        read_until_started(replay, "/later")
+        replay.read_until_up("/later")
         assert len(alive(replay.descendants())) >= 2
     assert not [each for each in replay.seen if each.get("kind") == "exited"]
 
@@ -96,7 +77,7 @@ def test_a_chain_of_all_kinds(tmp_path: Path) -> None:
     with replaying(
         write(tmp_path, containers=containers, nodes=nodes), tmp_path / "logs"
     ) as replay:
-        read_until_started(replay, "/last", "/after")
+        replay.read_until_up("/last", "/after")
         left = replay.descendants()
         replay.process.send_signal(2)
         replay.read_all()
@@ -123,7 +104,7 @@ def test_rclpy_is_not_imported_without_need(tmp_path: Path) -> None:
         {"name": "two", "command": FOREVER, "depends_on": ["one", {"file": "/"}]},
     ]
     with replaying(write(tmp_path, nodes=nodes), tmp_path / "logs") as replay:
-        read_until_started(replay, "/two")
+        replay.read_until_up("/two")
         assert "_rclpy" not in Path(f"/proc/{replay.pid}/maps").read_text(encoding="utf-8")
 
 
@@ -134,7 +115,7 @@ def test_the_node_that_watches_the_graph_leaves_when_nothing_waits(tmp_path: Pat
     containers = [{"name": "c", "composable_nodes": [TALKER | {"start_delay": "500 ms"}]}]
     config = write(tmp_path, containers=containers, nodes=nodes)
     with replaying(config, tmp_path / "logs") as replay:
-        read_until_started(replay, "/two")
+        replay.read_until_up("/two")
         assert "_rclpy" in Path(f"/proc/{replay.pid}/maps").read_text(encoding="utf-8")
 
         def threads() -> list[str]:
@@ -166,8 +147,7 @@ def test_the_graph_is_printed(tmp_path: Path) -> None:
     config = write(tmp_path, containers=containers, nodes=[process])
 
     def check(*options: str) -> str:
-        command = [str(COMMAND), "check", str(config), "--graph", *options]
-        return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        return run("check", config, "--graph", *options, code=0).stdout
 
     assert check() == (
         "/c\n  /talker\n  /listener\n      waits for /talker to be loaded\n"

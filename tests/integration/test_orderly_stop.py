@@ -31,20 +31,13 @@ def test_two_crashes_of_one_moment_that_shut_down_do_not_hurry(tmp_path: Path) -
     config = tmp_path / "config.yaml"
     config.write_text(CONFIG, encoding="utf-8")
     with replaying(config, tmp_path / "logs") as run:
-        pids: list[int] = []
-        ready = False
-        while len(pids) < 2 or not ready:
-            event = run.read_until(
-                lambda each: (
-                    (each["event"] == "node" and each["state"] == "loaded")
-                    or (each["event"] == "output" and each["text"] == "ready")
-                ),
-                "two nodes and a process",
-            )
-            if event["event"] == "node":
-                pids.append(event["pid"])
-            else:
-                ready = True
+        pids = [
+            each["pid"]
+            for name, each in run.read_until_up("/one", "/two").items()
+            if name in ("/one", "/two")
+        ]
+        if not run.told(event="output", text="ready"):
+            run.until(event="output", text="ready")
         # The supervisor hears of both in one read.
         os.kill(run.pid, signal.SIGSTOP)
         nodes = [psutil.Process(pid) for pid in pids]
@@ -52,13 +45,8 @@ def test_two_crashes_of_one_moment_that_shut_down_do_not_hurry(tmp_path: Path) -
             node.send_signal(signal.SIGSEGV)
         psutil.wait_procs(nodes, timeout=60)
         os.kill(run.pid, signal.SIGCONT)
-        events = run.read_all()
-    assert sum(each.get("state") == "crashed" for each in events if each["event"] == "node") == 2
-    (ended,) = (
-        each
-        for each in events
-        if (each["event"], each.get("name"), each.get("kind"))
-        == ("process", "/slow_to_end", "exited")
-    )
+        run.read_all()
+    assert len(run.told(event="node", state="crashed")) == 2
+    (ended,) = run.told(event="process", name="/slow_to_end", kind="exited")
     assert (ended["exit_code"], ended["signal"]) == (7, 0), "it was given its time after SIGINT"
     assert run.process.returncode == 1

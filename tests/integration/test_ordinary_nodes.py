@@ -5,17 +5,15 @@ from __future__ import annotations
 import shutil
 import signal
 import sys
-from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
-import yaml
-from rosbags.highlevel import AnyReader
 
-from tests.support.replay import Replay, alive, replaying
+from tests.support.replay import Replay, alive, recorded, replaying
+from tests.support.scenes import container, node, written
 from tests.support.slow_programs import slow_to_execute
 from tests.support.waiting import until
 
@@ -29,25 +27,15 @@ print("stdin", repr(sys.stdin.read()))
 
 
 def write(folder: Path, nodes: list[dict[str, Any]], **more: Any) -> Path:
-    config = folder / "config.yaml"
-    document = {"version": 1, "record": {"ros": False}, "nodes": nodes, **more}
-    config.write_text(yaml.safe_dump(document), encoding="utf-8")
-    return config
+    return written(folder, record={"ros": False}, nodes=nodes, **more)
 
 
 def shown(replay: Replay, process: str) -> list[str]:
-    lines = (event for event in replay.seen if event["event"] == "output")
-    return [event["text"] for event in lines if event["process"] == process]
+    return [event["text"] for event in replay.told(event="output", process=process)]
 
 
-def recorded(bag: Path, process: str) -> list[str]:
-    with AnyReader([bag]) as reader:
-        output = [each for each in reader.connections if each.topic == "/play_launch/output"]
-        lines: list[Any] = [
-            reader.deserialize(raw, connection.msgtype)
-            for connection, _, raw in reader.messages(output)
-        ]
-    return [line.msg for line in lines if line.name == process]
+def in_recording(bag: Path, process: str) -> list[str]:
+    return [each.msg for each in recorded(bag, "/play_launch/output") if each.name == process]
 
 
 def facts(replay: Replay, process: str) -> dict[str, str]:
@@ -89,10 +77,6 @@ def test_a_missing_directory_is_named(tmp_path: Path) -> None:
     assert f"its working directory is no directory: {tmp_path}/nowhere" in gave_up["message"]
 
 
-def is_output_of(process: str) -> Callable[[dict[str, Any]], bool]:
-    return lambda event: event["event"] == "output" and event["process"] == process
-
-
 @pytest.mark.parametrize("end", ["stopped meanwhile", "executed at last"])
 def test_a_program_that_is_slow_to_execute_holds_nothing_up_and_starts_once(
     tmp_path: Path, end: str
@@ -106,7 +90,7 @@ def test_a_program_that_is_slow_to_execute_holds_nothing_up_and_starts_once(
         waits = leased.enter_context(slow_to_execute(program))
         with replaying(write(tmp_path, nodes), tmp_path / "logs") as replay:
             until(waits, "the execution")
-            replay.read_until(is_output_of("/quick"), "what another one writes")
+            replay.until(event="output", process="/quick")
             if end == "executed at last":
                 leased.close()
                 until(lambda: runs(replay, program) > 0, "the program")
@@ -114,11 +98,8 @@ def test_a_program_that_is_slow_to_execute_holds_nothing_up_and_starts_once(
             replay.process.send_signal(signal.SIGTERM)
             replay.read_all()
     assert replay.process.returncode == 128 + signal.SIGTERM
-    assert [
-        event["kind"]
-        for event in replay.seen
-        if event["event"] == "process" and event["name"] == "/slow"
-    ] == ["started", "stopping", "exited"]
+    kinds = [event["kind"] for event in replay.told(event="process", name="/slow")]
+    assert kinds == ["started", "stopping", "exited"]
 
 
 def runs(replay: Replay, program: Path) -> int:
@@ -130,13 +111,10 @@ def runs(replay: Replay, program: Path) -> int:
 
 
 def test_a_container_with_a_prefix_loads_its_nodes(tmp_path: Path) -> None:
-    talker = {"package": "play_launch_demo", "plugin": "play_launch_demo::Talker", "name": "talker"}
-    container = {"name": "c", "prefix": "env MARK=set nice -n 5", "composable_nodes": [talker]}
-    config = write(tmp_path, [], containers=[container])
+    one = container("c", node("talker"), prefix="env MARK=set nice -n 5")
+    config = write(tmp_path, [], containers=[one])
     with replaying(config, tmp_path / "logs") as replay:
-        loaded = replay.read_until(
-            lambda event: event["event"] == "node" and event["state"] == "loaded", "the node"
-        )
+        loaded = replay.until(event="node", state="loaded")
         environment = Path(f"/proc/{loaded['pid']}/environ").read_bytes().split(b"\0")
         assert b"MARK=set" in environment
         left = replay.descendants()
@@ -156,11 +134,13 @@ def test_output_goes_where_it_is_sent(tmp_path: Path) -> None:
         "log": [],
         "both": everything,
     }
-    assert {where: sorted(recorded(replay.bag, f"/{where}")) for where in ("screen", "log")} == {
+    assert {
+        where: sorted(in_recording(replay.bag, f"/{where}")) for where in ("screen", "log")
+    } == {
         "screen": [],
         "log": everything,
     }
-    assert sorted(recorded(replay.bag, "/both")) == everything
+    assert sorted(in_recording(replay.bag, "/both")) == everything
 
 
 @pytest.mark.parametrize(("status", "code"), [(0, 0), (7, 1)])

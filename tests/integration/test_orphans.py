@@ -8,21 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-import yaml
 
 from play_launch.ros.fastdds.shared_memory import SHARED_MEMORY, sweep
 from tests.process.test_guard import ESCAPES, escaping
 from tests.support.replay import Replay, alive, replaying
+from tests.support.scenes import container, node, written
 from tests.support.waiting import until
 
 ESCAPED = 7
 """Processes that `ESCAPES` let loose."""
 LIMIT = 1.0
 """Seconds from the death of the supervisor to that of everything else."""
-
-
-def talker(name: str) -> dict[str, str]:
-    return {"package": "play_launch_demo", "plugin": "play_launch_demo::Talker", "name": name}
 
 
 def configuration() -> dict[str, Any]:
@@ -32,8 +28,7 @@ def configuration() -> dict[str, Any]:
         # It has a guard of its own, and a test of its own in tests/recording/topic_recorder.
         "record": {"ros": False},
         "containers": [
-            {"name": kind, "container_type": kind, "composable_nodes": [talker(f"talker_{kind}")]}
-            for kind in kinds
+            container(kind, node(f"talker_{kind}"), container_type=kind) for kind in kinds
         ],
         "nodes": [{"name": how.replace(" ", "_"), "command": escaping(how)} for how in ESCAPES],
     }
@@ -72,8 +67,7 @@ def ports_of(domain: int) -> list[str]:
 def test_nothing_outlives_a_supervisor_that_is_killed_alone(
     tmp_path: Path, ros_domain: int
 ) -> None:
-    config = tmp_path / "config.yaml"
-    config.write_text(yaml.safe_dump(configuration()), encoding="utf-8")
+    config = written(tmp_path, **configuration())
     with replaying(config, tmp_path / "logs") as replay:
         left = started(replay)
         assert len(left) > len(ESCAPES) + 2
@@ -89,8 +83,7 @@ def test_nothing_outlives_a_supervisor_that_is_killed_alone(
 
 
 def test_an_orderly_stop_leaves_nothing_either(tmp_path: Path) -> None:
-    config = tmp_path / "config.yaml"
-    config.write_text(yaml.safe_dump(configuration()), encoding="utf-8")
+    config = written(tmp_path, **configuration())
     with replaying(config, tmp_path / "logs") as replay:
         left = started(replay)
         os.kill(replay.pid, signal.SIGINT)
@@ -103,7 +96,6 @@ def test_containers_and_their_nodes_do_not_outlive_supervisor_and_guard_killed_t
     tmp_path: Path,
 ) -> None:
     """The documented limit: what got away from its parent stays, and nothing else."""
-    config = tmp_path / "config.yaml"
     values = configuration()
     containers = values["containers"]
     containers += [
@@ -111,16 +103,16 @@ def test_containers_and_their_nodes_do_not_outlive_supervisor_and_guard_killed_t
         for each, kind in zip(containers, ("mt", "isolated_mt"), strict=True)
     ]
     containers.append({**containers[1], "name": "processes", "isolation": "process"})
-    containers[-1]["composable_nodes"] = [talker("talker_process")]
+    containers[-1]["composable_nodes"] = [node("talker_process")]
     values["nodes"].append({"name": "plain", "command": ["sleep", "600"]})
-    config.write_text(yaml.safe_dump(values), encoding="utf-8")
+    config = written(tmp_path, **values)
     with replaying(config, tmp_path / "logs") as replay:
         everything = started(replay, "/talker_process")
         (guard,) = psutil.Process(replay.pid).children()
         direct = guard.children()
         containers = [each for each in direct if "component_container" in each.cmdline()[0]]
         assert len(containers) == len(values["containers"])
-        nodes = [node for each in containers for node in each.children(recursive=True)]
+        nodes = [one for each in containers for one in each.children(recursive=True)]
         assert len(nodes) >= 2
         os.kill(replay.pid, signal.SIGKILL)
         os.kill(guard.pid, signal.SIGKILL)

@@ -16,11 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
-from tests.recording.reading import messages
 from tests.support.mounts import mounted
-from tests.support.replay import COMMAND
+from tests.support.replay import COMMAND, recorded, run
+from tests.support.scenes import written
 from tests.support.stock import EXECUTABLE, PACKAGE, install
 
 NOISE = "noise of a library"
@@ -48,16 +47,9 @@ os.execv(sys.argv[2], sys.argv[2:])
 PORTS = range(7000, 7003)
 # Waits for a container that never comes, with a participant of the supervisor's own.
 ATTACHING = {
-    "version": 1,
     "duration": "1 s",
     "containers": [{"name": "nobody", "container_type": "stock", "attach": True}],
 }
-
-
-def write(folder: Path, document: dict[str, Any]) -> Path:
-    path = folder / "system.yaml"
-    path.write_text(yaml.safe_dump(document, sort_keys=False))
-    return path
 
 
 def noisy(folder: Path, module: str, times: int = 1) -> dict[str, str]:
@@ -70,7 +62,7 @@ def noisy(folder: Path, module: str, times: int = 1) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
 
-def run(command: list[Any], **options: Any) -> subprocess.CompletedProcess[str]:
+def execute(command: list[Any], **options: Any) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         command, capture_output=True, text=True, check=False, timeout=120, **options
     )
@@ -81,9 +73,9 @@ def replay(config: Path, *arguments: str) -> list[Any]:
 
 
 def logged(folder: Path) -> list[str]:
-    """What stands in the log of the only session below a folder."""
-    found = messages(folder / "logs" / "latest" / "session.mcap")
-    return [each.message.msg for each in found if each.topic == "/play_launch/log/all"]
+    """The log in the recording of the only session below a folder."""
+    bag = folder / "logs" / "latest" / "session.mcap"
+    return [each.msg for each in recorded(bag, "/play_launch/log/all")]
 
 
 def warnings(events: list[dict[str, Any]]) -> list[str]:
@@ -94,8 +86,8 @@ def warnings(events: list[dict[str, Any]]) -> list[str]:
 def test_what_a_library_writes_during_a_run_is_in_its_log(
     tmp_path: Path, arguments: list[str]
 ) -> None:
-    config = write(tmp_path, ATTACHING)
-    result = run(replay(config, *arguments), env=noisy(tmp_path, "rclpy"))
+    config = written(tmp_path, **ATTACHING)
+    result = execute(replay(config, *arguments), env=noisy(tmp_path, "rclpy"))
     assert (result.returncode, result.stderr) == (3, "")
     if arguments:
         assert WORDS in warnings([json.loads(line) for line in result.stdout.splitlines()])
@@ -104,19 +96,18 @@ def test_what_a_library_writes_during_a_run_is_in_its_log(
     assert WORDS in logged(tmp_path)
 
 
-@pytest.mark.parametrize("redirection", [">&-", ">/dev/full", "<&- >&- 2>&-"])
-def test_it_is_in_the_log_of_a_run_without_output_as_well(tmp_path: Path, redirection: str) -> None:
-    config = write(tmp_path, ATTACHING)
-    redirected = ["sh", "-c", f'exec "$@" {redirection}', "sh"]
-    result = run([*redirected, *replay(config)], env=noisy(tmp_path, "rclpy"))
+def test_a_run_without_output_has_it_in_its_log_as_well(tmp_path: Path) -> None:
+    config = written(tmp_path, **ATTACHING)
+    redirected = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh"]
+    result = execute([*redirected, *replay(config)], env=noisy(tmp_path, "rclpy"))
     assert (result.returncode, result.stdout, result.stderr) == (3, "", "")
     assert WORDS in logged(tmp_path)
 
 
 def test_a_library_that_writes_without_end_does_not_stop_the_supervisor(tmp_path: Path) -> None:
-    config = write(tmp_path, ATTACHING)
+    config = written(tmp_path, **ATTACHING)
     environment = noisy(tmp_path, "rclpy", times=20_000)
-    result = run(replay(config, "--json"), env=environment)
+    result = execute(replay(config, "--json"), env=environment)
     assert result.returncode == 3
     found = warnings([json.loads(line) for line in result.stdout.splitlines()])
     assert 100 < found.count(WORDS) < 20_000
@@ -136,16 +127,16 @@ def test_a_library_that_writes_without_end_does_not_stop_the_supervisor(tmp_path
 def test_what_a_library_writes_during_a_command_is_on_stderr(
     tmp_path: Path, module: str, arguments: list[str]
 ) -> None:
-    config = str(write(tmp_path, ATTACHING))
+    config = str(written(tmp_path, **ATTACHING))
     command = [config if argument == "CONFIG" else argument for argument in arguments]
-    result = run([COMMAND, *command], env=noisy(tmp_path, module))
+    result = run(*command, env=noisy(tmp_path, module))
     json.loads(result.stdout)
     assert result.stderr.count(NOISE) == 1
 
 
 def test_the_doctor_understands_a_python_whose_libraries_write(tmp_path: Path) -> None:
     # By importlib rclpy itself is imported, which is not seen; it imports others.
-    result = run([COMMAND, "doctor", "--json"], env=noisy(tmp_path, "rclpy.context"))
+    result = run("doctor", "--json", env=noisy(tmp_path, "rclpy.context"))
     found = {each["subject"]: each for each in json.loads(result.stdout)["findings"]}
     assert result.returncode == 0
     assert found["middleware"]["says"].startswith("rmw_")
@@ -160,7 +151,7 @@ def test_errors_of_fast_dds_leave_json_as_it_is(tmp_path: Path) -> None:
         "executable": EXECUTABLE,
         "composable_nodes": [{"package": "any", "plugin": "any::Node", "name": "one"}],
     }
-    config = write(tmp_path, {"version": 1, "containers": [box]})
+    config = written(tmp_path, containers=[box])
     locks = [sys.executable, "-c", LOCKS, ",".join(map(str, PORTS))]
     events = []
     with subprocess.Popen(

@@ -5,55 +5,34 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from rosbags.highlevel import AnyReader
 
-from tests.support.replay import COMMAND, Replay, alive, replaying
+from tests.support.replay import COMMAND, Replay, alive, recorded, replaying
+from tests.support.scenes import container, node, written
 
 TYPES = ("standard", "mt", "isolated", "isolated_mt")
 WAYS = {"segv": signal.SIGSEGV, "abort": signal.SIGABRT, "throw": signal.SIGABRT, "exit": 0}
 LOAD_FAILED = 2
 
-CONTAINER = """\
-  - name: {name}
-    container_type: {kind}
-    environment: {{PLAY_LAUNCH_DEMO_CRASH: {way}}}
-    composable_nodes:
-      - package: play_launch_demo
-        plugin: play_launch_demo::Talker
-        name: {name}_talker
-      - package: play_launch_demo_crashing
-        plugin: play_launch_demo::CrashingLibrary
-        name: {name}_bad
-      - package: play_launch_demo
-        plugin: play_launch_demo::Listener
-        name: {name}_listener
-"""
 
-SLOW = """\
-version: 1
-containers:
-  - name: c
-    environment: {PLAY_LAUNCH_DEMO_OPENING: '600'}
-    composable_nodes:
-      - package: play_launch_demo_slow
-        plugin: play_launch_demo::SlowLibrary
-        name: a
-"""
-
-
-def config(folder: Path, head: str, containers: dict[str, tuple[str, str]]) -> Path:
-    text = "".join(
-        CONTAINER.format(name=name, kind=kind, way=way) for name, (kind, way) in containers.items()
-    )
-    path = folder / "poison.yaml"
-    path.write_text(f"version: 1\n{head}containers:\n{text}", encoding="utf-8")
-    return path
+def config(folder: Path, containers: dict[str, tuple[str, str]], **keys: Any) -> Path:
+    bad = {"package": "play_launch_demo_crashing", "plugin": "play_launch_demo::CrashingLibrary"}
+    found = [
+        container(
+            name,
+            node(f"{name}_talker"),
+            {**bad, "name": f"{name}_bad"},
+            node(f"{name}_listener", "Listener"),
+            container_type=kind,
+            environment={"PLAY_LAUNCH_DEMO_CRASH": way},
+        )
+        for name, (kind, way) in containers.items()
+    ]
+    return written(folder, containers=found, **keys)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +44,7 @@ def poisoned(tmp_path_factory: pytest.TempPathFactory) -> Replay:
     states |= {
         f"/{name}_{node}": "loaded" for name in containers for node in ("talker", "listener")
     }
-    with replaying(config(folder, "", containers), folder / "log") as replay:
+    with replaying(config(folder, containers), folder / "log") as replay:
         replay.read_until_states(states)
         replay.process.send_signal(signal.SIGINT)
         replay.read_all()
@@ -76,7 +55,7 @@ def poisoned(tmp_path_factory: pytest.TempPathFactory) -> Replay:
 def for_a_person(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Popen[str]]:
     """A run that is shown to a person and ends by itself."""
     folder = tmp_path_factory.mktemp("person")
-    path = config(folder, "duration: 12 s\n", {"c": ("isolated", "segv")})
+    path = config(folder, {"c": ("isolated", "segv")}, duration="12 s")
     process = subprocess.Popen(
         [COMMAND, "replay", path, "--log-dir", folder / "log"], stdout=subprocess.PIPE, text=True
     )
@@ -87,25 +66,11 @@ def for_a_person(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subproces
         process.communicate(timeout=60)
 
 
-def components(replay: Replay, node: str, kind: str) -> list[dict[str, Any]]:
-    return [
-        event
-        for event in replay.seen
-        if (event["event"], event.get("kind")) == ("component", kind)
-        and event["full_node_name"] == node
-    ]
-
-
 @pytest.mark.parametrize("name", [*TYPES, "abort", "throw", "exit"])
 def test_the_container_ends_once_at_most_and_comes_back_with_all_the_others(
     poisoned: Replay, name: str
 ) -> None:
-    starts = [
-        event
-        for event in poisoned.seen
-        if event["event"] == "process" and (event["name"], event["kind"]) == (f"/{name}", "started")
-    ]
-    assert len(starts) <= 2
+    assert len(poisoned.told(name=f"/{name}", kind="started")) <= 2
     summary = next(each for each in poisoned.seen[-1]["containers"] if each["name"] == f"/{name}")
     assert (summary["state"], summary["loaded"]) == ("running", 2)
     assert summary["failed"] == [f"/{name}_bad"]
@@ -115,30 +80,26 @@ def test_the_container_ends_once_at_most_and_comes_back_with_all_the_others(
 def test_the_node_fails_to_load_with_signal_library_and_backtrace(
     poisoned: Replay, name: str
 ) -> None:
-    (failed,) = components(poisoned, f"/{name}_bad", "load_failed")
+    (failed,) = poisoned.told(full_node_name=f"/{name}_bad", kind="load_failed")
     assert failed["signal"] == WAYS.get(name, signal.SIGSEGV)
     assert "libplay_launch_demo_crashing.so" in failed["error_message"]
     if failed["signal"]:
         assert any("crash_while_opening" in frame for frame in failed["backtrace"])
-    state = next(
-        event
-        for event in poisoned.seen
-        if event["event"] == "node"
-        and (event["node"], event["state"]) == (f"/{name}_bad", "load failed")
-    )
+    state = poisoned.told(event="node", node=f"/{name}_bad", state="load failed")[0]
     assert "libplay_launch_demo_crashing.so" in state["reason"]
 
 
 def test_the_recording_has_it_all(poisoned: Replay) -> None:
-    found: dict[str, list[Any]] = defaultdict(list)
-    with AnyReader([poisoned.bag]) as reader:
-        for connection, _, raw in reader.messages():
-            found[connection.msgtype].append(reader.deserialize(raw, connection.msgtype))
     failed = {
         each.full_node_name: each
-        for each in found["play_launch_msgs/msg/ComponentEvent"]
+        for each in recorded(poisoned.bag, "/play_launch/events")
         if each.event_type == LOAD_FAILED
     }
+    logs = [
+        *recorded(poisoned.bag, "/play_launch/output"),
+        *recorded(poisoned.bag, "/play_launch/log/all"),
+        *recorded(poisoned.bag, "/rosout"),
+    ]
     for kind in TYPES:
         event = failed[f"/{kind}_bad"]
         assert event.signal == signal.SIGSEGV
@@ -146,9 +107,7 @@ def test_the_recording_has_it_all(poisoned: Replay) -> None:
         assert any("crash_while_opening" in frame for frame in event.backtrace)
         # What the container wrote before its own end: library, node and signal.
         last_words = next(
-            log.msg
-            for log in found["rcl_interfaces/msg/Log"]
-            if log.name == f"/{kind}" and f"for node /{kind}_bad" in log.msg
+            log.msg for log in logs if log.name == f"/{kind}" and f"for node /{kind}_bad" in log.msg
         )
         assert "libplay_launch_demo_crashing.so" in last_words
         assert "SIGSEGV" in last_words
@@ -156,17 +115,11 @@ def test_the_recording_has_it_all(poisoned: Replay) -> None:
 
 @pytest.mark.usefixtures("for_a_person")  # both mostly wait
 def test_an_interrupt_ends_a_scratch_process_that_still_runs(tmp_path: Path) -> None:
-    path = tmp_path / "slow.yaml"
-    path.write_text(SLOW, encoding="utf-8")
-    with replaying(path, tmp_path / "log") as replay:
-        replay.read_until(
-            lambda event: event["event"] == "node" and event["state"] == "loading", "a load"
-        )
-        started = next(
-            event
-            for event in replay.seen
-            if event["event"] == "process" and event["kind"] == "started"
-        )
+    slow = {"package": "play_launch_demo_slow", "plugin": "play_launch_demo::SlowLibrary"}
+    one = container("c", {**slow, "name": "a"}, environment={"PLAY_LAUNCH_DEMO_OPENING": "600"})
+    with replaying(written(tmp_path, containers=[one]), tmp_path / "log") as replay:
+        replay.until(event="node", state="loading")
+        (started,) = replay.told(event="process", kind="started")
         os.kill(started["pid"], signal.SIGKILL)
         replay.read_until(
             lambda event: event["event"] == "node" and "scratch process" in event["reason"],

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import pytest
 from play_launch.launch_files.configuration.options import Options
 from play_launch.launch_files.configuration.write import written
 from tests.launch_files.recorded import FOLDER, description
-from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.replay import replaying
 from tests.support.waiting import until
 
 SERVER = f"""#!{sys.executable}
@@ -36,18 +35,6 @@ with open(sys.argv[1] + ".part", "w") as file:
 os.rename(sys.argv[1] + ".part", sys.argv[1])
 signal.pause()
 """
-
-
-def command(replay: Replay, *words: str | Path, code: int = 0) -> str:
-    done = subprocess.run(
-        [COMMAND, *words, "--session", str((replay.log_dir / "latest").resolve())],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == code, done
-    return done.stdout
 
 
 def test_costmaps_of_a_launch_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,13 +64,13 @@ def test_costmaps_of_a_launch_file(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             "/server": {"everywhere": True, "a": 1, "b": "own"},
             "/costmap/costmap": {"everywhere": True, "width": 3},
         }
-        until(lambda: command(replay, "ps") != "", "a session that answers")
-        assert json.loads(command(replay, "param", "get", "/talker", "rate", "--json")) == {
+        replay.until_operable()
+        assert json.loads(replay.ask("param", "get", "/talker", "rate", "--json").stdout) == {
             "rate": 5.0
         }
-        assert command(replay, "diff", robot) == "nothing differs\n"
+        assert replay.ask("diff", robot).stdout == "nothing differs\n"
         changed = (tmp_path / "p.yaml").read_text(encoding="utf-8").replace("width: 3", "width: 4")
         (tmp_path / "p.yaml").write_text(changed, encoding="utf-8")
-        shown = command(replay, "diff", robot, code=1)
+        shown = replay.ask("diff", robot, code=1).stdout
         assert "/server (process): restart" in shown
         assert "process_parameters./costmap/costmap.width.value: 3 -> 4" in shown

@@ -7,7 +7,7 @@ import shlex
 import subprocess
 from pathlib import Path
 
-from tests.support.replay import COMMAND, replaying
+from tests.support.replay import replaying, run
 from tests.support.waiting import until
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,9 +21,7 @@ def example() -> str:
 
 def check(folder: Path, text: str) -> subprocess.CompletedProcess[str]:
     (folder / "robot.yaml").write_text(text, encoding="utf-8")
-    return subprocess.run(
-        [COMMAND, "check", "robot.yaml"], cwd=folder, check=False, capture_output=True, text=True
-    )
+    return run("check", "robot.yaml", cwd=folder)
 
 
 def test_the_configuration_is_valid(tmp_path: Path) -> None:
@@ -43,12 +41,6 @@ def test_the_files_it_names_are_there() -> None:
         assert (ROOT / name).is_file(), name
 
 
-def test_the_demo_command_is_what_the_demo_is_called_with() -> None:
-    (demo,) = re.findall(r"<!-- demo command -->\n```sh\n(.*?)```", README, flags=re.DOTALL)
-    assert demo.splitlines()[-1] == ".venv/bin/play-launch replay configs/demo.yaml"
-    assert (ROOT / "configs" / "demo.yaml").is_file()
-
-
 def without_numbers(text: str) -> str:
     """What is the same each time: words, and how wide the columns of words are."""
     lines = text.splitlines()
@@ -61,15 +53,13 @@ def test_commands_for_a_running_session_print_what_is_shown(tmp_path: Path) -> N
     examples = re.findall(r"^\$ play-launch (.*)\n((?:[^$\n].*\n?)+)", shown, flags=re.MULTILINE)
     assert len(examples) == 2
     demo = ROOT / "configs" / "demo.yaml"
-    with replaying(demo, tmp_path / "logs", "-q", "--duration", "600s"):
-        session = ["--session", str(tmp_path / "logs" / "latest")]
+    with replaying(demo, tmp_path / "logs", "-q", "--duration", "600s") as replay:
 
-        def run(line: str) -> str:
-            command = [str(COMMAND), *shlex.split(line), *session]
-            return subprocess.run(command, check=False, capture_output=True, text=True).stdout
+        def printed_by(line: str) -> str:
+            return replay.ask(*shlex.split(line)).stdout
 
-        until(lambda: run("wait") != "", "the demo")
+        until(lambda: printed_by("wait") != "", "the demo")
         # What its processes take is measured a moment later.
-        until(lambda: "%" in run("ps /chat"), "a sample")
+        until(lambda: "%" in printed_by("ps /chat"), "a sample")
         for line, printed in examples:
-            assert without_numbers(run(line)) == without_numbers(printed)
+            assert without_numbers(printed_by(line)) == without_numbers(printed)

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording.facts import REDACTED
 from play_launch.recording.topics import PARAMETER_EVENTS, PARAMETERS
-from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.replay import Replay, replaying, run
 from tests.support.waiting import until
 
 MAIN = """version: 1
@@ -55,7 +55,9 @@ def end(replay: Replay) -> None:
 def resolved(bag: Path) -> dict[str, object]:
     with bag.open("rb") as file:
         attached = {each.name: each.data for each in make_reader(file).iter_attachments()}
-    assert "includes/0-box.yaml" in attached
+    assert attached["config.yaml"] == MAIN.encode()
+    assert attached["includes/0-box.yaml"] == BOX.encode()
+    assert attached["parameters/0-talker.yaml"] == OF_ALL_NODES.encode()
     values = json.loads(attached["resolved_config.json"])
     assert isinstance(values, dict)
     return values
@@ -64,7 +66,8 @@ def resolved(bag: Path) -> dict[str, object]:
 def test_a_recording_holds_all_that_a_configuration_was_made_of(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    robot = write(tmp_path / "robot")
+    # A name need not be text: ext4 stores bytes, and old archives unpack to Latin-1.
+    robot = write(tmp_path / os.fsdecode(b"caf\xe9"))
     monkeypatch.setenv("PL_TEST_TOKEN", SECRET)
     monkeypatch.setenv("PL_TEST_SECONDS", "1000")
     with replaying(robot, tmp_path / "first", "who:=talker") as first:
@@ -85,17 +88,15 @@ def test_a_recording_holds_all_that_a_configuration_was_made_of(
     assert resolved(second.bag) == then
     with replaying(second.bag, tmp_path / "third", "who:=other") as third:
         third.read_until_states({"/other": "loaded"})
-
-
-def run(*arguments: object, **environ: str) -> subprocess.CompletedProcess[str]:
-    command = [str(COMMAND), *map(str, arguments)]
-    return subprocess.run(
-        command, env={**os.environ, **environ}, check=False, capture_output=True, text=True
-    )
+        cut = third.bag.with_name("session.mcap.active").rename(tmp_path / "cut.mcap.active")
+        third.process.send_signal(signal.SIGKILL)
+        third.process.wait()
+    with replaying(cut, tmp_path / "fourth") as fourth:
+        fourth.read_until_states({"/other": "loaded"})
 
 
 def check(*arguments: object, **environ: str) -> subprocess.CompletedProcess[str]:
-    return run("check", *arguments, **environ)
+    return run("check", *arguments, env={**os.environ, **environ})
 
 
 def test_check_takes_arguments_and_says_nothing_secret(tmp_path: Path) -> None:
@@ -151,8 +152,7 @@ def test_no_message_of_a_recording_holds_what_sounds_secret(
     with replaying(config, tmp_path / "logs", f"api_key:={KEY}") as replay:
         replay.read_until_states({"/victim": "loaded"})
         until(lambda: answered(PARAMETERS.name), "parameters of /victim")
-        ps = json.loads(run("ps", "--json", "--session", replay.bag.parent.resolve()).stdout)
-        pids = {row["name"]: row["pid"] for row in ps}
+        pids = replay.pids()
         command = Path(f"/proc/{pids['/uploader']}/cmdline").read_bytes()
         assert SECRET.encode() in command
         assert KEY.encode() in command
@@ -160,7 +160,7 @@ def test_no_message_of_a_recording_holds_what_sounds_secret(
         replay.read_until_states({"/victim": "crashed"})
         # Its next life tells of its parameters by itself.
         until(lambda: answered(PARAMETER_EVENTS.name), "an event of /victim")
-        feed = run("events", "--json", "--session", replay.bag.parent.resolve()).stdout
+        feed = replay.ask("events", "--json").stdout
         end(replay)
     reader = BagReader(replay.bag)
     found = [(each.topic.name, each.data) for each in reader.messages()]

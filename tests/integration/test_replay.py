@@ -2,93 +2,61 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import psutil
 import pytest
 from mcap.reader import make_reader
-from rosbags.highlevel import AnyReader
 from std_msgs.msg import String
 
-from tests.support.replay import COMMAND, Replay, alive, replaying
+from tests.support.replay import COMMAND, alive, recorded, replaying
 from tests.support.ros import Probe
-from tests.support.shared_memory import ports_left_in
+from tests.support.scenes import container, node, written
 
 ROOT = Path(__file__).resolve().parents[2]
 DEMO = ROOT / "configs" / "demo.yaml"
-
-LOADED, UNLOADED, LOAD_FAILED, CRASHED, LOADING = range(5)
-STARTED, READY, STOPPING, EXITED = "started", "ready", "stopping", "exited"
-GAVE_UP = "gave_up"
+LOADED, UNLOADED, LOADING = 0, 1, 4
 PROCESS = 2
 
 
-def write(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def read_bag(path: Path) -> dict[str, list[Any]]:
-    """All messages by topic, read by code that is not ours."""
-    found: dict[str, list[Any]] = {}
-    with AnyReader([path]) as reader:
-        for connection, _, raw in reader.messages():
-            message = reader.deserialize(raw, connection.msgtype)
-            found.setdefault(connection.topic, []).append(message)
-    return found
-
-
-def all_loaded(count: int) -> Any:
-    seen: Counter[str] = Counter()
-
-    def done(event: dict[str, Any]) -> bool:
-        seen["loaded"] += event["event"] == "component" and event["kind"] == "loaded"
-        return seen["loaded"] == count
-
-    return done
-
-
-def test_the_demo_runs_talks_and_stops_and_its_recording_tells_the_story(tmp_path: Path) -> None:
+def test_the_demo_runs_talks_stops_and_is_recorded(tmp_path: Path) -> None:
     with replaying(DEMO, tmp_path) as replay:
-        replay.read_until(all_loaded(8), "8 nodes loaded")
+        while len(replay.told(event="component", kind="loaded")) < 8:
+            replay.until(event="component", kind="loaded")
         started = replay.descendants()
         with Probe("far_away") as probe:
             texts = [message.data for message in probe.collect(String, "/chatter", count=3)]
         assert all(text.startswith("Hello from one process: ") for text in texts)
         replay.process.send_signal(signal.SIGINT)
         replay.read_all()
-
     summary = replay.seen[-1]
     assert replay.process.returncode == 128 + signal.SIGINT
     assert summary["event"] == "summary"
     assert summary["recording"]["path"].endswith("session.mcap")
     assert not alive(started)
 
-    bag = read_bag(replay.bag)
-    events = bag["/play_launch/events"]
     by_node: dict[str, list[int]] = {}
-    for event in events:
+    for event in recorded(replay.bag, "/play_launch/events"):
         by_node.setdefault(event.full_node_name, []).append(event.event_type)
     assert len(by_node) == 8
-    for node, kinds in by_node.items():
-        assert kinds == [LOADING, LOADED, UNLOADED], node
-    processes = [each for each in bag["/play_launch/states"] if each.kind == PROCESS]
+    for name, kinds in by_node.items():
+        assert kinds == [LOADING, LOADED, UNLOADED], name
+    states = recorded(replay.bag, "/play_launch/states")
+    processes = [each for each in states if each.kind == PROCESS]
     by_process: dict[str, list[str]] = {}
     for each in processes:
         by_process.setdefault(each.name, []).append(each.state)
     assert by_process == {
-        name: [STARTED, READY, STOPPING, EXITED]
+        name: ["started", "ready", "stopping", "exited"]
         for name in ("/chat", "/sensing/camera", "/monitor")
     }
     assert all(each.exit_code == 0 and each.signal == 0 for each in processes)
-    lines = [each.msg for each in bag["/play_launch/output"]]
+    lines = [each.msg for each in recorded(replay.bag, "/play_launch/output")]
     assert any("I heard 'Hello from one process: 1'" in line for line in lines)
     reports = [line for line in lines if "by_pointer=" in line]
     assert reports
@@ -102,7 +70,7 @@ def test_the_demo_runs_talks_and_stops_and_its_recording_tells_the_story(tmp_pat
     assert attachments["config.yaml"] == DEMO.read_bytes()
 
 
-def test_a_person_sees_plain_lines_and_the_name_of_the_recording(tmp_path: Path) -> None:
+def test_without_a_terminal_there_are_plain_lines_and_the_recording_s_name(tmp_path: Path) -> None:
     with subprocess.Popen(
         [COMMAND, "replay", DEMO, "--log-dir", tmp_path], stdout=subprocess.PIPE, text=True
     ) as process:
@@ -119,107 +87,30 @@ def test_a_person_sees_plain_lines_and_the_name_of_the_recording(tmp_path: Path)
     assert (tmp_path / "latest" / "session.mcap").is_file()
 
 
-FAILING = """
-version: 1
-duration: 3 s
-containers:
-  - name: mixed
-    composable_nodes:
-      - {package: play_launch_demo, plugin: play_launch_demo::Talker, name: talker}
-      - {package: play_launch_demo, plugin: play_launch_demo::ThrowingConstructor, name: broken}
-"""
-
-
-def test_a_failed_node_is_told_with_its_reason_and_ends_in_exit_code_1(tmp_path: Path) -> None:
-    config = write(tmp_path / "failing.yaml", FAILING)
+def test_a_killed_container_is_restarted_with_its_nodes_within_bounds(tmp_path: Path) -> None:
+    backoff = {"initial": "50 ms", "maximum": "100 ms"}
+    loading = {"restart": {"max_restarts": 2, "within": "60 s", "backoff": backoff}}
+    containers = [
+        container("victim", node("talker"), node("listener", "Listener")),
+        container("bystander", node("witness", "Listener")),
+    ]
+    config = written(tmp_path, composable_node_loading=loading, containers=containers)
+    victims = dict.fromkeys(("/talker", "/listener"), "loaded")
     with replaying(config, tmp_path / "logs") as replay:
-        failed = replay.read_until(
-            lambda event: event["event"] == "component" and event["kind"] == "load_failed",
-            "a load failure",
-        )
-        assert failed["full_node_name"] == "/broken"
-        assert "no such camera" in failed["error_message"]
-        replay.read_all()
-    assert replay.process.returncode == 1
-    kinds = Counter(each.event_type for each in read_bag(replay.bag)["/play_launch/events"])
-    assert kinds[LOADED] == 1
-    assert kinds[LOAD_FAILED] == 1
-
-
-SLOW = """
-version: 1
-duration: 2 s
-containers:
-  - name: slow
-    composable_nodes:
-      - package: play_launch_demo
-        plugin: play_launch_demo::SlowConstructor
-        name: slow_starter
-        parameters: {seconds: 600.0}
-"""
-
-
-def test_missing_nodes_end_in_exit_code_3(tmp_path: Path, ros_domain: int) -> None:
-    config = write(tmp_path / "slow.yaml", SLOW)
-    with replaying(config, tmp_path / "logs") as replay:
-        replay.read_all()
-    assert replay.process.returncode == 3
-    assert not ports_left_in(ros_domain)
-
-
-RESTARTING_CONFIG = """
-version: 1
-composable_node_loading:
-  restart: {max_restarts: 2, within: 60 s, backoff: {initial: 50 ms, maximum: 100 ms}}
-containers:
-  - name: victim
-    composable_nodes:
-      - {package: play_launch_demo, plugin: play_launch_demo::Talker, name: talker}
-      - {package: play_launch_demo, plugin: play_launch_demo::Listener, name: listener}
-  - name: bystander
-    composable_nodes:
-      - {package: play_launch_demo, plugin: play_launch_demo::Listener, name: witness}
-"""
-
-
-def is_process(name: str, kind: str) -> Any:
-    return lambda event: (
-        event["event"] == "process" and event["name"] == name and event["kind"] == kind
-    )
-
-
-def loaded_again(replay: Replay, nodes: set[str]) -> None:
-    missing = set(nodes)
-
-    def done(event: dict[str, Any]) -> bool:
-        if event["event"] == "component" and event["kind"] == "loaded":
-            missing.discard(event["full_node_name"])
-        return not missing
-
-    replay.read_until(done, f"{missing} loaded")
-
-
-def test_a_dead_container_comes_back_with_its_nodes_within_bounds(tmp_path: Path) -> None:
-    config = write(tmp_path / "restarting.yaml", RESTARTING_CONFIG)
-    nodes = {"/talker", "/listener"}
-    with replaying(config, tmp_path / "logs") as replay:
-        loaded_again(replay, nodes | {"/witness"})
-        bystander = next(
-            event for event in replay.seen if is_process("/bystander", "started")(event)
-        )
+        replay.read_until_states({**victims, "/witness": "loaded"})
+        (bystander,) = replay.told(name="/bystander", kind="started")
         dead = []
         for _ in range(2):
-            pid = [e for e in replay.seen if is_process("/victim", "started")(e)][-1]["pid"]
+            pid = replay.told(name="/victim", kind="started")[-1]["pid"]
             victim = psutil.Process(pid)
             victim.send_signal(signal.SIGSEGV)
-            gone = replay.read_until(is_process("/victim", "exited"), "the death")
+            gone = replay.until(name="/victim", kind="exited")
             assert (gone["pid"], gone["signal"]) == (pid, signal.SIGSEGV)
             dead.append(victim)
-            replay.read_until(is_process("/victim", "started"), "the restart")
-            loaded_again(replay, nodes)
-        pid = [e for e in replay.seen if is_process("/victim", "started")(e)][-1]["pid"]
-        os.kill(pid, signal.SIGKILL)
-        given_up = replay.read_until(is_process("/victim", "gave_up"), "giving up")
+            replay.until(name="/victim", kind="started")
+            replay.read_until_states(victims)
+        os.kill(replay.told(name="/victim", kind="started")[-1]["pid"], signal.SIGKILL)
+        given_up = replay.until(name="/victim", kind="gave_up")
         assert "2" in given_up["message"]
         assert not alive(dead)
         assert psutil.pid_exists(bystander["pid"])
@@ -228,57 +119,10 @@ def test_a_dead_container_comes_back_with_its_nodes_within_bounds(tmp_path: Path
     assert replay.process.returncode == 128 + signal.SIGTERM
     kinds = Counter(
         each.state
-        for each in read_bag(replay.bag)["/play_launch/states"]
-        if each.kind == PROCESS and each.name == "/victim"
+        for each in recorded(replay.bag, "/play_launch/states")
+        if (each.kind, each.name) == (PROCESS, "/victim")
     )
-    assert kinds[STARTED] == 3
-    assert kinds[GAVE_UP] == 1
-
-
-def test_nothing_outlives_a_supervisor_that_is_killed(tmp_path: Path, ros_domain: int) -> None:
-    config = write(
-        tmp_path / "orphans.yaml",
-        RESTARTING_CONFIG
-        + """
-nodes:
-  - name: sleeper
-    command: [sleep, "600"]
-""",
-    )
-    with replaying(config, tmp_path / "logs") as replay:
-        replay.read_until(is_process("/sleeper", "started"), "the sleeper")
-        loaded_again(replay, {"/talker", "/listener", "/witness"})
-        started = replay.descendants()
-        assert len(started) >= 3
-        os.kill(replay.pid, signal.SIGKILL)
-        replay.process.wait()
-        _, left = psutil.wait_procs(started, timeout=60)
-        assert not left
-    assert replay.process.returncode == -signal.SIGKILL
-    cut = next((tmp_path / "logs").glob("*/session.mcap.active"))
-    copy = tmp_path / "cut.mcap"
-    copy.write_bytes(cut.read_bytes())
-    assert copy.stat().st_size > 0
-    # The containers leave by themselves and clean up; only what was killed may need the sweep.
-    assert not ports_left_in(ros_domain)
-
-
-def test_an_ordinary_executable_runs_beside_the_containers(tmp_path: Path) -> None:
-    config = write(
-        tmp_path / "nodes.yaml",
-        """
-version: 1
-duration: 2 s
-nodes:
-  - name: hello
-    command: [sh, -c, "echo out; echo err >&2; exec sleep 600"]
-""",
-    )
-    with replaying(config, tmp_path / "logs") as replay:
-        replay.read_all()
-    assert replay.process.returncode == 0
-    lines = {(each.file, each.msg) for each in read_bag(replay.bag)["/play_launch/output"]}
-    assert lines == {("stdout", "out"), ("stderr", "err")}
+    assert (kinds["started"], kinds["gave_up"]) == (3, 1)
 
 
 BROKEN = """
@@ -299,47 +143,19 @@ entry.main()
         ("control.serve", "package_version", "control by commands"),
     ],
 )
-def test_the_system_goes_on_without_what_fails_beside_it_and_reports_that(
+def test_the_system_continues_without_a_service_that_fails_and_reports_that(
     module: str, function: str, what: str, tmp_path: Path
 ) -> None:
-    config = write(
-        tmp_path / "robot.yaml",
-        "{version: 1, record: {ros: false}, nodes: [{name: idle, command: [sleep, infinity]}]}",
-    )
+    idle = {"name": "idle", "command": ["sleep", "infinity"]}
+    config = written(tmp_path, record={"ros": False}, nodes=[idle])
     program = (sys.executable, "-c", BROKEN.format(module=module, function=function))
     with replaying(config, tmp_path / "logs", program=program) as replay:
-        reported = replay.read_until(lambda event: event["event"] == "log", "a report")
+        reported = replay.until(event="log")
         assert (reported["level"], reported["name"]) == (40, "play_launch.cli.background")
         assert f"the system continues without {what}" in reported["message"]
         assert "Too many open files" in reported["message"]
-        if module == "serve_control":
-            folder = (tmp_path / "logs" / "latest").resolve()
-            asking = [str(COMMAND), "ps", "--session", str(folder)]
-            asked = subprocess.run(asking, check=False, capture_output=True, text=True)
-            assert asked.returncode == 1
-            assert "no session" in asked.stderr
+        if module == "control.serve":
+            assert "no session" in replay.ask("ps", code=1).stderr
         assert replay.process.poll() is None
         replay.process.send_signal(signal.SIGINT)
         assert replay.read_all()[-1]["exit_code"] == 128 + signal.SIGINT
-
-
-@pytest.mark.parametrize("verb", ["replay", "check"])
-def test_a_bad_configuration_starts_nothing(verb: str, tmp_path: Path) -> None:
-    config = write(tmp_path / "bad.yaml", "version: 1\ncontainers:\n  - name: 3\n    nmae: x\n")
-    arguments: list[str | Path] = ["--log-dir", tmp_path / "logs"] if verb == "replay" else []
-    result = subprocess.run(
-        [COMMAND, verb, config, *arguments], check=False, capture_output=True, text=True
-    )
-    assert result.returncode == 2
-    assert f"{config}:3:" in result.stderr + result.stdout
-    assert f"{config}:4:" in result.stderr + result.stdout
-    assert not (tmp_path / "logs").exists()
-
-
-def test_check_answers_machines_in_json() -> None:
-    result = subprocess.run(
-        [COMMAND, "check", DEMO, "--json"], check=False, capture_output=True, text=True
-    )
-    assert result.returncode == 0, result.stderr
-    answer = json.loads(result.stdout)
-    assert answer["valid"] is True

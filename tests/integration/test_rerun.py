@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import signal
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from play_launch.container.cdr.messages import PARAMETER_VALUE
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording import topics
 from play_launch.supervisor import outcome
-from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.replay import replaying, run
 from tests.support.waiting import until
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,14 +27,8 @@ TOKEN = "correct-horse-battery"
 Rows = list[list[Any]]
 
 
-def ran(*words: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [COMMAND, *map(str, words)], check=False, capture_output=True, text=True, timeout=120
-    )
-
-
 def rerun(path: Path, *options: str) -> tuple[int, dict[str, Any]]:
-    result = ran("rerun", path, "--json", *options)
+    result = run("rerun", path, "--json", *options)
     return result.returncode, json.loads(result.stdout)
 
 
@@ -60,19 +53,14 @@ nodes:
             nodes = ["talker", "listener", "sensing/front", "sensing/detector"]
             nodes += ["sensing/recorder", "far_listener", "slow_starter", "echo"]
             replay.read_until_states({f"/{each}": "loaded" for each in nodes})
-            until(lambda: operated(replay, "ps").returncode == 0, "a session that answers")
-            rows = json.loads(operated(replay, "ps", "--json").stdout)
-            pid = next(row["pid"] for row in rows if row["name"] == "/chat")
+            replay.until_operable()
+            pid = replay.pids()["/chat"]
             os.kill(pid, signal.SIGSEGV)
             replay.read_until_states({"/talker": "lost"})
             replay.read_until_states({"/talker": "loaded", "/listener": "loaded"})
-            assert operated(replay, "restart", "/monitor").returncode == 0
-            assert operated(replay, "apply", other).returncode == 0
+            assert replay.ask("restart", "/monitor", code=0)
+            assert replay.ask("apply", other, code=0)
     return replay.bag.resolve().parent
-
-
-def operated(replay: Replay, *words: str | Path) -> subprocess.CompletedProcess[str]:
-    return ran(*words, "--session", (replay.log_dir / "latest").resolve())
 
 
 def inputs_of(path: Path) -> Rows:
@@ -117,7 +105,7 @@ def test_a_session_follows_from_its_inputs(session: Path) -> None:
     kinds = {row[4]["type"] for row in inputs_of(session)}
     assert kinds >= {"Origin", "Exited", "StartRequested", "ChangeRequested", "Over"}
     assert found["inputs"] > 50
-    result = ran("rerun", session)
+    result = run("rerun", session)
     assert (result.returncode, result.stderr) == (0, "")
     assert result.stdout.endswith("of state, as recorded\n")
 
@@ -134,7 +122,7 @@ def test_what_comes_after_a_time_is_not_compared(session: Path) -> None:
     assert (code, found["same"]) == (0, True)
     assert found["until_s"] <= 0.5
     assert found["inputs"] < rerun(session)[1]["inputs"]
-    result = ran("rerun", session, "--until", "soon")
+    result = run("rerun", session, "--until", "soon")
     assert (result.returncode, result.stdout) == (2, "")
     assert "--until" in result.stderr
 
@@ -156,11 +144,11 @@ def test_other_verbs_read_it_and_one_without_inputs_is_incomplete(
 ) -> None:
     folder = Path(shutil.copytree(session, tmp_path / "copy"))
     for verb in ("info", "inspect", "explain", "export"):
-        assert ran(verb, folder).returncode in ({0, 1} if verb == "explain" else {0}), verb
+        assert run(verb, folder).returncode in ({0, 1} if verb == "explain" else {0}), verb
     last = max(folder.glob("session_*.mcap"), key=lambda path: int(path.stem.split("_")[1]))
-    assert ran("rerun", last).returncode == 5
+    assert run("rerun", last).returncode == 5
     last.rename(f"{last}.active")
-    assert ran("recover", folder).returncode == 0
+    assert run("recover", folder).returncode == 0
     assert rerun(folder)[0] == 0
     old = rewritten(session, tmp_path / "old.mcap", lambda _: [])
     code, found = rerun(old)
@@ -187,7 +175,7 @@ def test_another_input_leads_to_something_else(session: Path, tmp_path: Path) ->
     assert {"signal", "exit_code", "reason"} <= set(first["fields"])
     assert first["seconds"] == pytest.approx(found["until_s"])
     assert rerun(target, "--until", f"{first['seconds'] - 0.001}s")[0] == 0
-    text = ran("rerun", target, "--diff")
+    text = run("rerun", target, "--diff")
     assert text.returncode == 1
     assert f"{first['seconds']:.3f} s: process /chat differs" in text.stdout
     assert "  signal: recorded 11, now 0\n" in text.stdout

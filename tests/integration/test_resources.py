@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 import signal
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,9 @@ import pytest
 
 from play_launch.config.resources import IoClass, IoPriority, Scheduler, SchedulerPolicy
 from play_launch.process.resources import HeldResources, held_resources
+from tests.support import scenes
 from tests.support.replay import COMMAND, Replay, replaying
-from tests.support.waiting import until
+from tests.support.scenes import node, written
 
 CPU = min(os.sched_getaffinity(0))
 NICE = [min(os.getpriority(os.PRIO_PROCESS, 0) + step, 19) for step in range(5)]
@@ -41,34 +41,12 @@ def may_be_real_time() -> bool:
     return os.waitpid(pid, 0)[1] == 0
 
 
-def node(name: str, **more: Any) -> dict[str, Any]:
-    plugin = "play_launch_demo::Talker"
-    return {"package": "play_launch_demo", "plugin": plugin, "name": name, **more}
-
-
 def container(name: str, *nodes: dict[str, Any], **more: Any) -> dict[str, Any]:
-    return {"name": name, "container_type": "isolated", "composable_nodes": list(nodes), **more}
+    return scenes.container(name, *nodes, **{"container_type": "isolated", **more})
 
 
 def write(path: Path, **keys: Any) -> Path:
-    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    # YAML holds JSON.
-    path.write_text(json.dumps({"version": 1, "environment": environment, **keys}))
-    return path
-
-
-def pid_of(replay: Replay, name: str) -> int:
-    """Wait until a node is loaded, or a process or container has started."""
-    return int(
-        replay.read_until(
-            lambda event: (
-                (event["event"] == "node" and (event["node"], event["state"]) == (name, "loaded"))
-                or (event["event"], event.get("name"), event.get("kind"))
-                == ("process", name, "ready" if name.startswith("/c_") else "started")
-            ),
-            f"{name}",
-        )["pid"]
-    )
+    return written(path, environment={"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, **keys)
 
 
 def held(pid: int, *limits: str) -> HeldResources:
@@ -130,17 +108,8 @@ def test_everything_is_read_back(tmp_path: Path) -> None:
         ],
     )
     with replaying(config, tmp_path / "log") as replay:
-        pids: dict[str, int] = {}
-        wanted = {"/given", "/own", "/last", "/alone", "/sleeper", "/c_shared", "/c_apart"}
-
-        def complete(event: dict[str, Any]) -> bool:
-            if event["event"] == "node" and event["state"] == "loaded":
-                pids[event["node"]] = event["pid"]
-            if event["event"] == "process" and event["kind"] == "started":
-                pids[event["name"]] = event["pid"]
-            return pids.keys() >= wanted
-
-        replay.read_until(complete, "all")
+        names = ("/given", "/own", "/last", "/alone", "/sleeper", "/c_shared", "/c_apart")
+        pids = {name: event["pid"] for name, event in replay.read_until_up(*names).items()}
         sleeper = held(pids["/sleeper"], "nofile", "core")
         assert sleeper.nice == NICE[4]
         assert sleeper.scheduler == Scheduler(SchedulerPolicy.IDLE)
@@ -171,7 +140,7 @@ def test_everything_is_read_back(tmp_path: Path) -> None:
 
         # A reload and a restart bring the same.
         os.kill(pids["/own"], signal.SIGKILL)
-        assert held(pid_of(replay, "/own")).nice == NICE[3]
+        assert held(replay.read_until_up("/own")["/own"]["pid"]).nice == NICE[3]
     assert not warnings(replay)
 
 
@@ -184,16 +153,14 @@ def test_the_container_watches_over_real_time_nodes(tmp_path: Path) -> None:
         ],
     )
     with replaying(config, tmp_path / "log") as replay:
-        started = replay.read_until(
-            lambda event: event["event"] == "process" and event["kind"] == "started", "the start"
-        )
-        pids = {"/calm": pid_of(replay, "/calm"), "/urgent": pid_of(replay, "/urgent")}
+        up = replay.read_until_up("/c_all", "/calm", "/urgent")
+        pids = {name: event["pid"] for name, event in up.items()}
         assert held(pids["/urgent"]).scheduler == Scheduler(SchedulerPolicy.FIFO, 20)
         assert held(pids["/calm"]).scheduler == Scheduler(SchedulerPolicy.OTHER)
 
         def above() -> dict[str, list[Scheduler]]:
             found: dict[str, list[Scheduler]] = {}
-            for name, each in threads(started["pid"]).values():
+            for name, each in threads(pids["/c_all"]).values():
                 found.setdefault(name, []).append(each.scheduler)
             return found
 
@@ -207,7 +174,9 @@ def test_the_container_watches_over_real_time_nodes(tmp_path: Path) -> None:
 
         os.kill(pids["/calm"], signal.SIGKILL)
         # Its donor was urgent from the beginning; it is not.
-        assert held(pid_of(replay, "/calm")).scheduler == Scheduler(SchedulerPolicy.OTHER)
+        assert held(replay.read_until_up("/calm")["/calm"]["pid"]).scheduler == Scheduler(
+            SchedulerPolicy.OTHER
+        )
     assert not warnings(replay)
 
 
@@ -267,34 +236,15 @@ def test_apply_loads_again_whose_resources_changed(tmp_path: Path) -> None:
     config = write(tmp_path / "before.yaml", containers=nodes(nice=NICE[1]))
     target = write(tmp_path / "after.yaml", containers=nodes(nice=NICE[2]))
     with replaying(config, tmp_path / "log") as replay:
-        pids: dict[str, int] = {}
-
-        def loaded(event: dict[str, Any]) -> bool:
-            if event["event"] == "node" and event["state"] == "loaded":
-                pids[event["node"]] = event["pid"]
-            return len(pids) == 2
-
-        replay.read_until(loaded, "both nodes")
+        pids = {k: each["pid"] for k, each in replay.read_until_up("/kept", "/changed").items()}
         before = pids["/changed"]
-        session = str((replay.log_dir / "latest").resolve())
-
-        def ask(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-            return subprocess.run(
-                [COMMAND, *arguments, target, "--session", session],
-                check=False,
-                capture_output=True,
-                text=True,
-                timeout=120,
-            )
-
-        # The session can be asked a moment after its first nodes are loaded.
-        until(lambda: bool(ask("diff").stdout), "an answer")
-        diff = ask("diff", "--json")
+        replay.until_operable()
+        diff = replay.ask("diff", target, "--json")
         (step,) = json.loads(diff.stdout)["steps"]
         assert (step["name"], step["action"]) == ("/c_box:/changed", "reload")
         assert [each["path"] for each in step["changes"]] == ["resources.nice"]
-        assert ask("apply").returncode == 0
-        after = pid_of(replay, "/changed")
+        assert replay.ask("apply", target).returncode == 0
+        after = replay.read_until_up("/changed")["/changed"]["pid"]
         assert after != before
         assert held(after).nice == NICE[2]
         assert held(pids["/kept"]).nice == NICE[0]

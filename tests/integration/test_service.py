@@ -15,7 +15,7 @@ import pytest
 
 from tests.deploy.listening import Listening
 from tests.deploy.units import settings_of, words
-from tests.support.replay import COMMAND
+from tests.support.replay import run
 
 SYSTEM = """
 version: 1
@@ -36,13 +36,8 @@ class Service:
     """What systemd does with a unit, as far as that matters here."""
 
     def __init__(self, config: Path, listening: Listening, watchdog: float) -> None:
-        done = subprocess.run(
-            [COMMAND, "systemd-unit", config, "--log-dir", config.parent / "logs"],
-            check=True,
-            cwd=config.parent,
-            capture_output=True,
-            text=True,
-            timeout=60,
+        done = run(
+            "systemd-unit", config, "--log-dir", config.parent / "logs", code=0, cwd=config.parent
         )
         self.unit = settings_of(done.stdout)
         self.listening = listening

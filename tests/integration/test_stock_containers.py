@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import os
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
-from mcap.reader import make_reader
 from std_msgs.msg import String
 
 from tests.support.container import running_container
-from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.replay import Replay, recorded, replaying, run
 from tests.support.ros import Probe
+from tests.support.scenes import node, written
 from tests.support.stock import (
     Double,
     has_components,
@@ -29,25 +27,13 @@ LIMIT = "180s"
 """Ends a run whose test waits in vain."""
 
 
-def demo(plugin: str, name: str, **keys: Any) -> dict[str, Any]:
-    return {
-        "package": "play_launch_demo",
-        "plugin": f"play_launch_demo::{plugin}",
-        "name": name,
-        **keys,
-    }
-
-
 def any_node(name: str, *faults: str) -> dict[str, Any]:
     parameters = {"parameters": {"faults": list(faults)}} if faults else {}
     return {"package": "any", "plugin": "any::Node", "name": name, **parameters}
 
 
 def write(folder: Path, *containers: dict[str, Any], **keys: Any) -> Path:
-    path = folder / "stock.yaml"
-    document = {"version": 1, "containers": list(containers), **keys}
-    path.write_text(yaml.safe_dump(document, sort_keys=False))
-    return path
+    return written(folder, containers=list(containers), **keys)
 
 
 def state(node: str, *states: str) -> Callable[[dict[str, Any]], bool]:
@@ -79,9 +65,9 @@ HONEST = {
     "container_type": "stock",
     "package": "play_launch_container",
     "composable_nodes": [
-        demo("Talker", "talker", parameters={"rate": 50.0}, remappings={"chatter": "/said"}),
-        demo("Listener", "listener", remappings={"chatter": "/said"}),
-        demo("ThrowingConstructor", "broken"),
+        node("talker", parameters={"rate": 50.0}, remappings={"chatter": "/said"}),
+        node("listener", "Listener", remappings={"chatter": "/said"}),
+        node("broken", "ThrowingConstructor"),
     ],
 }
 
@@ -97,13 +83,12 @@ def test_real_components_are_loaded_talk_and_are_recorded(tmp_path: Path) -> Non
         replay.read_all()
     summary = replay.seen[-1]["containers"][0]
     assert (summary["loaded"], summary["failed"]) == (2, ["/broken"])
-    (started,) = (e for e in replay.seen if e["event"] == "process" and e["kind"] == "started")
+    (started,) = replay.told(event="process", kind="started")
     assert Path(started["command"][0]).name == "component_container"
-    (ready,) = (e for e in replay.seen if e["event"] == "process" and e["kind"] == "ready")
+    (ready,) = replay.told(event="process", kind="ready")
     assert ready["message"].startswith("stock, rmw_fastrtps_cpp, domain ")
-    with replay.bag.open("rb") as bag:
-        topics = {channel.topic for _, channel, _ in make_reader(bag).iter_messages()}
-    assert {"/play_launch/events", "/play_launch/states"} <= topics
+    for topic in ("events", "states"):
+        assert recorded(replay.bag, f"/play_launch/{topic}")
 
 
 def test_a_killed_container_comes_back_with_its_nodes(tmp_path: Path) -> None:
@@ -138,13 +123,7 @@ def test_a_program_that_is_not_there_is_said_at_once(tmp_path: Path) -> None:
         tmp_path,
         {"name": "box", "container_type": "stock", "package": "nobody_has_this"},
     )
-    result = subprocess.run(
-        [COMMAND, "replay", config, "--log-dir", tmp_path],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    result = run("replay", config, "--log-dir", tmp_path)
     assert result.returncode == 1
     assert "package nobody_has_this has no executable component_container" in result.stdout
 
@@ -240,12 +219,8 @@ def test_coming_and_going_is_bounded(tmp_path: Path, double: Double) -> None:
 def test_nobody_is_waited_for_in_silence(tmp_path: Path) -> None:
     config = write(tmp_path, THEIRS | {"composable_nodes": [any_node("one")]})
     with replaying(config, tmp_path, "--duration", LIMIT) as replay:
-        replay.read_until(
-            lambda event: (
-                event["event"] == "log"
-                and event["message"] == "waiting for /theirs: no container of that name is running"
-            ),
-            "the word",
+        replay.until(
+            event="log", message="waiting for /theirs: no container of that name is running"
         )
 
 
@@ -271,7 +246,7 @@ def test_a_container_is_let_go_in_time_though_it_does_not_unload(
 
 
 def test_our_own_container_can_be_attached_to_as_well(tmp_path: Path) -> None:
-    nodes = [demo("Talker", "talker"), demo("SlowConstructor", "slow", parameters={"seconds": 5.0})]
+    nodes = [node("talker"), node("slow", "SlowConstructor", parameters={"seconds": 5.0})]
     config = write(
         tmp_path,
         THEIRS | {"composable_nodes": nodes, "loading_timeout": "1 s"},

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-import yaml
 
 from tests.support.replay import replaying
+from tests.support.scenes import written
 from tests.support.stock import EXECUTABLE, PACKAGE, Double, install
 
 PATIENCE = 180.0
@@ -99,14 +99,12 @@ class Run:
 def _run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("stock")
     run = Run(install(folder))
-    config = folder / "faults.yaml"
-    document = {
-        "version": 1,
-        "composable_node_loading": {"loading_timeout": "2 s"},
-        "stop": {"sigint": "20 s", "sigterm": "1 s"},
-        "containers": CONTAINERS,
-    }
-    config.write_text(yaml.safe_dump(document, sort_keys=False))
+    config = written(
+        folder,
+        composable_node_loading={"loading_timeout": "2 s"},
+        stop={"sigint": "20 s", "sigterm": "1 s"},
+        containers=CONTAINERS,
+    )
     states: dict[str, str] = {}
     given_up: set[str] = set()
 

@@ -17,7 +17,6 @@ import pytest
 from play_launch.process.identity import ProcessIdentity, read_stat
 from play_launch.process.processor_wait import (
     ProcessorWait,
-    own_wait,
     processor_wait,
     thread_wait,
 )
@@ -87,12 +86,6 @@ def test_what_is_gone_has_not_waited() -> None:
     process = subprocess.Popen(["true"])
     process.wait()
     assert processor_wait(process.pid, {"true"}) == ProcessorWait(0.0, wants_one=False)
-
-
-@counted
-def test_we_ourselves_have_waited_at_some_time() -> None:
-    before = own_wait()
-    assert 0 <= before.seconds <= own_wait().seconds
 
 
 SEM_T = 32

@@ -73,37 +73,37 @@ async def ready(argv: list[str], guard: Path) -> tuple[Child, Output]:
     return child, output
 
 
-async def test_asking_is_enough_for_who_listens(guard: Path) -> None:
-    child, _ = await ready(["/bin/sh", "-c", "echo ready; exec sleep 600"], guard)
+@pytest.mark.parametrize(
+    ("deaf", "policy", "can_ask", "level", "signum"),
+    [
+        ((), PATIENT, True, StopLevel.ASK, signal.SIGUSR1),
+        ((), PATIENT, False, StopLevel.SIGINT, signal.SIGINT),
+        (("SIGINT",), StopPolicy(sigint=0.1, sigterm=30), False, StopLevel.SIGTERM, signal.SIGTERM),
+        (
+            ("SIGINT", "SIGTERM", "SIGHUP"),
+            StopPolicy(sigint=0.1, sigterm=0.1, sigkill=30),
+            False,
+            StopLevel.SIGKILL,
+            signal.SIGKILL,
+        ),
+    ],
+)
+async def test_a_stop_ends_with_the_first_level_that_has_an_effect(
+    guard: Path,
+    deaf: tuple[str, ...],
+    policy: StopPolicy,
+    can_ask: bool,
+    level: StopLevel,
+    signum: signal.Signals,
+) -> None:
+    child, _ = await ready(deaf_to(*deaf) if deaf else python(READY_THEN_SLEEP), guard)
 
     def ask() -> bool:
-        return child.send_signal(signal.SIGUSR1)  # stands for a message
+        return can_ask and child.send_signal(signal.SIGUSR1)  # stands for a message
 
-    outcome = await stop(child, PATIENT, ask=ask)
-    assert outcome.level is StopLevel.ASK
-    assert outcome.exit == Exit(signal=signal.SIGUSR1)
-    assert not exists(child.pid)
-
-
-async def test_who_cannot_be_asked_gets_sigint_at_once(guard: Path) -> None:
-    child, _ = await ready(python(READY_THEN_SLEEP), guard)
-    outcome = await stop(child, PATIENT, ask=lambda: False)
-    assert (outcome.level, outcome.stragglers) == (StopLevel.SIGINT, 0)
-    assert outcome.exit == Exit(signal=signal.SIGINT)
-
-
-async def test_deaf_to_sigint_takes_sigterm(guard: Path) -> None:
-    child, _ = await ready(deaf_to("SIGINT"), guard)
-    outcome = await stop(child, StopPolicy(ask=0.1, sigint=0.1, sigterm=30), ask=lambda: True)
-    assert outcome.level is StopLevel.SIGTERM
-    assert outcome.exit == Exit(signal=signal.SIGTERM)
-
-
-async def test_deaf_to_everything_takes_sigkill(guard: Path) -> None:
-    child, _ = await ready(deaf_to("SIGINT", "SIGTERM", "SIGHUP"), guard)
-    outcome = await stop(child, StopPolicy(sigint=0.1, sigterm=0.1, sigkill=30))
-    assert outcome.level is StopLevel.SIGKILL
-    assert outcome.exit == Exit(signal=signal.SIGKILL)
+    outcome = await stop(child, policy, ask=ask)
+    assert (outcome.level, outcome.stragglers) == (level, 0)
+    assert outcome.exit == Exit(signal=signum)
     assert not exists(child.pid)
 
 
@@ -193,14 +193,6 @@ async def test_a_cancelled_stop_keeps_nobody_alive(guard: Path) -> None:
     async with asyncio.timeout(60):
         await child.gone()
     assert not exists(grandchild) or not read_stat(grandchild).is_alive
-
-
-async def test_many_stop_side_by_side(guard: Path) -> None:
-    started = [await ready(deaf_to("SIGINT"), guard) for _ in range(12)]
-    policy = StopPolicy(sigint=0.2, sigterm=30)
-    outcomes = await asyncio.gather(*(stop(child, policy) for child, _ in started))
-    assert {outcome.level for outcome in outcomes} == {StopLevel.SIGTERM}
-    assert not any(exists(child.pid) for child, _ in started)
 
 
 async def test_who_waits_for_several_is_idle_after_the_end_of_the_first(

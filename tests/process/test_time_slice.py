@@ -1,4 +1,4 @@
-"""Whose work is short and waited for gets short turns, more of them, or runs ahead."""
+"""Short turns, more of them, and real-time scheduling of the supervisor's threads."""
 
 from __future__ import annotations
 
@@ -15,31 +15,42 @@ import pytest
 
 from play_launch.process.time_slice import NICE, run_ahead, run_along
 
-ASKING = """
-import os
-from pathlib import Path
-from threading import Thread
-from play_launch.process.time_slice import ask_for_short_turns
-
-nice = os.getpriority(os.PRIO_PROCESS, 0)
-os.nice(3)
-taken = ask_for_short_turns()
-def show():
-    print(taken, os.getpriority(os.PRIO_PROCESS, 0) - nice, os.sched_getscheduler(0), *[
-        line.split()[-1] for line in Path("/proc/thread-self/sched").read_text().splitlines()
-        if line.startswith("se.slice")
-    ])
-thread = Thread(target=show)
-thread.start()
-thread.join()
-"""
-
 OURS = os.getpriority(os.PRIO_PROCESS, 0)
 """The nice value that all of this has."""
+KERNEL = tuple(int(part) for part in platform.release().split("-")[0].split(".")[:2])
+has_slices = pytest.mark.skipif(KERNEL < (6, 12), reason="slices are for Linux 6.12 and later")
+needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give the right up")
+WITHOUT = """
+if sys.argv[1] == "without":
+    for limit in (resource.RLIMIT_RTPRIO, resource.RLIMIT_NICE):
+        resource.setrlimit(limit, (0, 0))
+    os.setuid(65534)
+"""
+IMPORTS = """
+import asyncio, os, resource, signal, sys
+from pathlib import Path
+from threading import Event, Thread
+from play_launch.process.time_slice import (
+    ask_for_more_turns, ask_for_short_turns, run_ahead, run_along,
+)
+
+def in_a_thread(function):
+    thread = Thread(target=function)
+    thread.start()
+    thread.join()
+
+def slice_of(task):
+    lines = Path(f"/proc/{task}/sched").read_text().splitlines()
+    # Kernels without the scheduler's debugging do not show it.
+    return [line.split()[-1] for line in lines if line.startswith("se.slice")] or ["hidden"]
+"""
 
 
-def kernel() -> tuple[int, ...]:
-    return tuple(int(part) for part in platform.release().split("-")[0].split(".")[:2])
+def run(program: str, *words: object) -> list[list[str]]:
+    """The words of each line that a program prints."""
+    command = [sys.executable, "-c", IMPORTS + program, *map(str, words)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60)
+    return [line.split() for line in done.stdout.splitlines()]
 
 
 def may_be_preferred() -> bool:
@@ -52,40 +63,33 @@ def may_be_preferred() -> bool:
 def may_run_ahead() -> bool:
     """Whether we may take a real-time policy: control groups can forbid it to those who may."""
     taking = "import os; os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))"
-    run = subprocess.run([sys.executable, "-c", taking], check=False, stderr=subprocess.DEVNULL)
-    return may_be_preferred() and run.returncode == 0 and os.getpriority(os.PRIO_PROCESS, 0) == 0
+    done = subprocess.run([sys.executable, "-c", taking], check=False, stderr=subprocess.DEVNULL)
+    return may_be_preferred() and done.returncode == 0 and OURS == 0
 
 
-def test_a_thread_and_those_it_starts_get_them() -> None:
-    command = [sys.executable, "-c", ASKING]
-    words = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
-    taken, nice, policy, *slices = words
-    assert (nice, policy) == ("3", "0")
-    if kernel() >= (6, 12):
-        assert taken == "True"
-    # Kernels without the scheduler's debugging do not show it.
-    assert slices in ([], ["100000"]) or kernel() < (6, 12)
+@has_slices
+def test_a_thread_and_those_it_starts_get_short_turns() -> None:
+    ((taken, policy, found),) = run(
+        "taken = ask_for_short_turns()\n"
+        "in_a_thread(lambda: print(taken, os.sched_getscheduler(0), *slice_of('thread-self')))"
+    )
+    assert (taken, policy) == ("True", "0")
+    assert found in {"100000", "hidden"}
 
 
-STARTING = """
-import asyncio, os, signal, sys
-from pathlib import Path
-from play_launch.process.child import spawn
-from play_launch.process.guard import SessionGuard
-from play_launch.process.time_slice import ask_for_short_turns, run_ahead
-
+STARTING = (
+    "from play_launch.process.child import spawn\n"
+    "from play_launch.process.guard import SessionGuard\n"
+    + WITHOUT
+    + """
 def show(pid):
-    lines = Path(f"/proc/{pid}/sched").read_text().splitlines()
     policy = os.sched_getscheduler(pid) & ~os.SCHED_RESET_ON_FORK
-    slices = [line.split()[-1] for line in lines if line.startswith("se.slice")] or [""]
-    print("ahead" if policy == os.SCHED_RR else slices[0], os.getpriority(os.PRIO_PROCESS, pid))
+    print(*["ahead"] if policy == os.SCHED_RR else slice_of(pid), os.getpriority(0, pid))
 
 async def main():
-    if sys.argv[2] == "without":
-        os.setuid(65534)
     ask_for_short_turns()
     run_ahead()
-    guard = SessionGuard.start(Path(sys.argv[1]))
+    guard = SessionGuard.start(Path(sys.argv[2]))
     for starter in (guard, None):
         child = await spawn(["sleep", "1000"], env=os.environ, guard=starter)
         show(child.pid)
@@ -95,45 +99,28 @@ async def main():
 
 asyncio.run(main())
 """
+)
 
 
-def started(guard: Path, right: str) -> list[str]:
-    command = [sys.executable, "-c", STARTING, str(guard), right]
-    run = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60)
-    return run.stdout.splitlines()
-
-
-def test_what_a_guard_starts_has_the_usual_turns(guard: Path) -> None:
-    right = "with" if may_run_ahead() else "as it is"
-    of_its_child, of_ours, of_guard = started(guard, right)
-    assert all(each.endswith(f" {OURS}") for each in (of_its_child, of_ours))
-    assert of_its_child != f"100000 {OURS}"
-    assert f"ahead {OURS}" not in (of_its_child, of_ours)
-    # Kernels without the scheduler's debugging do not show it.
-    assert of_guard in (f"100000 {OURS}", f" {OURS}") or kernel() < (6, 12)
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give the right up")
-def test_a_guard_without_the_right_has_short_turns(guard: Path) -> None:
+@has_slices
+@needs_root
+@pytest.mark.parametrize("right", ["with", "without"])
+def test_what_a_guard_starts_has_the_usual_turns(guard: Path, right: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         # Where this runs, its own place may be for nobody else.
         program = Path(shutil.copy(guard, folder))
         Path(folder).chmod(0o755)
-        of_child, *_, of_guard = started(program, "without")
-    # Kernels without the scheduler's debugging do not show it.
-    assert of_guard in (f"100000 {OURS}", f" {OURS}") or kernel() < (6, 12)
-    assert of_child not in (f"100000 {OURS}", f"ahead {OURS}")
+        of_child, of_ours, of_guard = run(STARTING, right, program)
+    assert of_child[0] not in {"100000", "ahead"}
+    assert of_ours[0] != "ahead"
+    assert {each[1] for each in (of_child, of_ours, of_guard)} == {str(OURS)}
+    assert of_guard[0] in {"100000", "hidden"}
 
 
-AHEAD = """
-import os, resource, sys
-from threading import Event, Thread
-from play_launch.process.time_slice import run_ahead, run_along
-
-os.nice(int(sys.argv[2]))
-if sys.argv[1] == "without":
-    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
-    os.setuid(65534)
+AHEAD = (
+    "os.nice(int(sys.argv[2]))"
+    + WITHOUT
+    + """
 over = Event()
 other = Thread(target=over.wait)
 other.start()
@@ -142,9 +129,7 @@ def show(*results):
     policies = [os.sched_getscheduler(each) & ~os.SCHED_RESET_ON_FORK
                 for each in (os.getpid(), other.native_id)]
     late = []
-    thread = Thread(target=lambda: late.append(os.sched_getscheduler(0)))
-    thread.start()
-    thread.join()
+    in_a_thread(lambda: late.append(os.sched_getscheduler(0)))
     child = os.fork()
     if child == 0:
         os._exit(os.sched_getscheduler(0))
@@ -158,26 +143,22 @@ try:
 finally:
     over.set()
 """
-
-
-def ahead(right: str, nice: int) -> list[str]:
-    command = [sys.executable, "-c", AHEAD, right, str(nice)]
-    run = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60)
-    return run.stdout.splitlines()
+)
 
 
 @pytest.mark.skipif(
     not may_run_ahead(), reason="needs root with CAP_SYS_NICE, real-time policies and no nice value"
 )
-def test_whoever_may_runs_ahead_with_all_threads_but_not_with_what_it_starts() -> None:
-    runs_ahead = f"True {os.SCHED_RR} {os.SCHED_RR} {os.SCHED_OTHER} {os.SCHED_OTHER}"
-    assert ahead("with", 0) == [runs_ahead, "0 0 0 0", runs_ahead]
+def test_with_the_right_all_threads_are_real_time_and_what_they_start_is_not() -> None:
+    ahead = f"True {os.SCHED_RR} {os.SCHED_RR} {os.SCHED_OTHER} {os.SCHED_OTHER}".split()
+    assert run(AHEAD, "with", 0) == [ahead, ["0"] * 4, ahead]
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give the right up")
+@needs_root
 @pytest.mark.parametrize(("right", "nice"), [("without", 0), ("with", 5)])
-def test_whoever_may_not_or_is_to_stand_back_does_not(right: str, nice: int) -> None:
-    assert ahead(right, nice) == ["False 0 0 0 0", "0 0 0 0", "False 0 0 0 0"]
+def test_without_the_right_or_with_a_nice_value_nothing_is_real_time(right: str, nice: int) -> None:
+    refused = ["False", *["0"] * 4]
+    assert run(AHEAD, right, nice) == [refused, ["0"] * 4, refused]
 
 
 @pytest.mark.parametrize("reason", [errno.EPERM, errno.EINVAL, errno.ENOSYS])
@@ -190,46 +171,28 @@ def test_a_refusal_changes_nothing(reason: int, monkeypatch: pytest.MonkeyPatch)
     run_along()
 
 
-PREFERRING = """
-import ctypes, os, resource, sys
-from pathlib import Path
-from threading import Thread
-from play_launch.process.time_slice import ask_for_more_turns, ask_for_short_turns
-
-os.setsid()
-given = int(sys.argv[2])
-os.setpriority(os.PRIO_PROCESS, 0, given)
-if sys.argv[1] == "without":
-    resource.setrlimit(resource.RLIMIT_NICE, (0, 0))
-    os.setuid(65534)
+PREFERRING = (
+    "os.setsid(); os.setpriority(os.PRIO_PROCESS, 0, int(sys.argv[2]))"
+    + WITHOUT
+    + """
 permitted = ask_for_more_turns()
 ask_for_short_turns()
-def show():
-    group = Path("/proc/self/autogroup")
-    print(permitted, os.getpriority(os.PRIO_PROCESS, 0),
-          group.read_text().split()[-1] if group.exists() else "none")
-thread = Thread(target=show)
-thread.start()
-thread.join()
+group = Path("/proc/self/autogroup")
+of_group = group.read_text().split()[-1] if group.exists() else "none"
+in_a_thread(lambda: print(permitted, os.getpriority(os.PRIO_PROCESS, 0), of_group))
 """
-
-
-def preferred(right: str, nice: int) -> list[str]:
-    command = [sys.executable, "-c", PREFERRING, right, str(nice)]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+)
 
 
 @pytest.mark.skipif(not may_be_preferred(), reason="needs root with CAP_SYS_NICE")
-def test_whoever_may_is_preferred_in_its_group_and_with_it() -> None:
-    permitted, nice, group = preferred("with", 0)
+def test_with_the_right_a_process_and_its_group_get_more_turns() -> None:
+    ((permitted, nice, group),) = run(PREFERRING, "with", 0)
     assert (permitted, nice) == ("True", str(NICE))
-    assert group in (str(NICE), "none")
+    assert group in {str(NICE), "none"}
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give the right up")
-def test_whoever_may_not_goes_on_as_before() -> None:
-    assert preferred("without", 0)[:2] == ["False", "0"]
-
-
-def test_a_nice_value_that_somebody_gave_is_left_alone() -> None:
-    assert preferred("with", 4)[:2] == ["False", "4"]
+@needs_root
+@pytest.mark.parametrize(("right", "nice"), [("without", 0), ("with", 4)])
+def test_without_the_right_or_with_a_nice_value_it_is_left_alone(right: str, nice: int) -> None:
+    ((permitted, found, _),) = run(PREFERRING, right, nice)
+    assert (permitted, found) == ("False", str(nice))

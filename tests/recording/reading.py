@@ -17,7 +17,6 @@ from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import (
     ContainerState,
     ContainerStateChanged,
-    GraphChanged,
     NodeState,
     NodeStateChanged,
     ProcessEvent,
@@ -128,14 +127,4 @@ def state_event(message: Any) -> NodeStateChanged | ContainerStateChanged | Proc
         message=message.reason,
         command=tuple(message.command),
         **outcome,
-    )
-
-
-def graph_changed(message: Any) -> GraphChanged:
-    """The event that a ``play_launch_msgs/GraphEvent`` records."""
-    return GraphChanged(
-        stamp_ns=message.stamp.sec * 1_000_000_000 + message.stamp.nanosec,
-        appeared=tuple(message.appeared),
-        vanished=tuple(message.vanished),
-        nodes=message.nodes,
     )

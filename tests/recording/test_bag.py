@@ -2,10 +2,6 @@ from __future__ import annotations
 
 import errno
 import os
-import signal
-import subprocess
-import sys
-import textwrap
 from typing import TYPE_CHECKING
 
 import pytest
@@ -103,46 +99,6 @@ def test_quality_of_service_is_read_by_others(tmp_path: Path) -> None:
         assert profile.liveliness.name == "AUTOMATIC"
 
 
-def test_a_killed_writer_leaves_what_it_flushed(tmp_path: Path) -> None:
-    program = """
-        import sys
-        from pathlib import Path
-        from play_launch.container.cdr.messages import log_message
-        from play_launch.recording.bag import BagWriter
-        from play_launch.recording.topics import OUTPUT
-        writer = BagWriter(Path(sys.argv[1]))
-        writer.attach("config.yaml", "application/yaml", b"a: 1", time=1)
-        channel = writer.register(OUTPUT)
-        number = 0
-        while True:
-            for _ in range(100):
-                number += 1
-                data = log_message(number, 20, "/a", f"line {number}")
-                writer.write(channel, data, log_time=number, publish_time=number)
-            writer.flush()
-            print(number, flush=True)
-    """
-    process = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(program), str(tmp_path / "x.mcap")],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    with process.stdout as told:
-        flushed = [int(told.readline()) for _ in range(50)][-1]
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        flushed = max([flushed, *(int(line) for line in told if line.endswith("\n"))])
-
-    path = tmp_path / "x.mcap.active"
-    found = raw_messages(path, OUTPUT.name)
-    assert len(found) >= flushed
-    assert [message.log_time for message in found] == list(range(1, len(found) + 1))
-    assert [record.name for record in records(path) if isinstance(record, Attachment)] == [
-        "config.yaml"
-    ]
-
-
 class FullDisk:
     """Stands for ``os.pwrite`` on a file system with a given number of bytes left."""
 
@@ -182,27 +138,6 @@ def test_a_full_disk_keeps_every_complete_chunk(
     assert [message.log_time for message in found] == [*range(30)]
     assert [message.sequence for message in found] == [*range(1, 31)]
     assert len(messages(writer.path)) == 30
-
-
-def test_a_full_chunk_that_finds_no_room_is_not_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    writer = BagWriter(tmp_path / "x.mcap")
-    channel = writer.register(OUTPUT)
-    monkeypatch.setattr(os, "pwrite", FullDisk(100))
-    noise = os.urandom(200_000).hex()
-    for number in (1, 2):
-        data = log_message(number, 20, "/a", noise)
-        writer.write(channel, data, log_time=number, publish_time=number)
-    data = log_message(3, 20, "/a", noise)
-    with pytest.raises(WriteFailedError):
-        writer.write(channel, data, log_time=3, publish_time=3)
-    assert writer.messages == 0
-    monkeypatch.undo()
-    writer.flush()
-    assert writer.messages == 3
-    writer.abandon()
-    assert [each.log_time for each in raw_messages(writer.path, OUTPUT.name)] == [1, 2, 3]
 
 
 def test_a_disk_that_is_full_at_the_end_leaves_the_active_file(

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from play_launch_msgs.msg import ComponentEvent as ComponentMessage
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message
 
@@ -92,44 +91,6 @@ def test_warnings_stand_in_both_logs(level: int) -> None:
     message = found["/play_launch/log/all"]
     assert (message.level, message.name, message.msg) == (level, "n", "m")
     assert (message.file, message.function, message.line) == ("f.py", "g", 3)
-
-
-def test_component_events_keep_every_field() -> None:
-    event = ComponentEvent(
-        stamp_ns=STAMP,
-        kind=ComponentEventKind.CRASHED,
-        container="/c",
-        unique_id=2**40,
-        attempt=3,
-        full_node_name="/c/n",
-        package_name="p",
-        plugin_name="p::N",
-        error_message="why\0",
-        pid=44,
-        start_time=2**50,
-        exit_code=1,
-        signal=11,
-        backtrace=("one", "two"),
-        confirmed_by="status",
-    )
-    message = converted(event, ComponentMessage)["/play_launch/events"]
-    assert message.event_type == ComponentMessage.CRASHED
-    assert (message.stamp.sec, message.stamp.nanosec) == divmod(STAMP, 10**9)
-    assert message.error_message == r"why\x00"
-    assert message.backtrace == ["one", "two"]
-    for name in [
-        "unique_id",
-        "attempt",
-        "full_node_name",
-        "package_name",
-        "plugin_name",
-        "pid",
-        "start_time",
-        "exit_code",
-        "signal",
-        "confirmed_by",
-    ]:
-        assert getattr(message, name) == getattr(event, name), name
 
 
 def test_what_a_container_sent_is_recorded_as_it_came() -> None:

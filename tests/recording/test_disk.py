@@ -102,17 +102,6 @@ def test_it_is_synced_at_intervals_and_not_when_nothing_is_new(
     assert len(slow_disk.sizes) == 1, "a file that is complete is forced to the disk"
 
 
-def test_never_means_when_the_file_is_complete(tmp_path: Path, slow_disk: SlowDisk) -> None:
-    slow_disk.gate.set()
-    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
-    channel = writer.register(OUTPUT)
-    for number in (1, 2):
-        writer.write(channel, b"\0\1\0\0", log_time=number, publish_time=number)
-        writer.flush()
-    writer.close()
-    assert len(slow_disk.sizes) == 3
-
-
 def test_another_file_begins_while_the_last_one_is_forced_to_the_disk(
     tmp_path: Path, slow_disk: SlowDisk
 ) -> None:
@@ -146,30 +135,6 @@ def test_a_file_that_is_removed_is_reported_once(
     writer.abandon()
     (error,) = caplog.records
     assert "x.mcap.active was removed" in error.getMessage()
-
-
-def test_a_disk_that_forgets_is_reported_once_and_at_the_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    asked = threading.Semaphore(0)
-
-    def fail(_descriptor: int) -> None:
-        asked.release()
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    monkeypatch.setattr(os, "fdatasync", fail)
-    writer = BagWriter(tmp_path / "x.mcap", sync=1e-3)
-    channel = writer.register(OUTPUT)
-    for number in (1, 2):
-        writer.write(channel, b"\0\1\0\0", log_time=number, publish_time=number)
-        writer.flush()
-        asked.acquire()
-    with pytest.raises(WriteFailedError, match="Input/output error"):
-        writer.close()
-    writer.abandon()
-    (error,) = caplog.records
-    assert "cannot be synced" in error.getMessage()
-    assert sum(1 for _ in BagReader(tmp_path / "x.mcap.active").messages()) == 2
 
 
 def test_a_file_before_that_cannot_be_completed_is_reported_at_once_and_by_its_name(

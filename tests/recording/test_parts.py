@@ -14,11 +14,9 @@ from play_launch.container.cdr.messages import log_message
 from play_launch.recording.bag import BagWriter, Rotation
 from play_launch.recording.folder import part_path
 from play_launch.recording.forms import convert
-from play_launch.recording.limits import RecorderLimits
 from play_launch.recording.mcap_file import MAGIC
-from play_launch.recording.recorder import Recorder
 from play_launch.recording.topics import OUTPUT, STATES, Topic, message_definition
-from play_launch.supervisor.events import ContainerState, ContainerStateChanged, OutputLine, Stream
+from play_launch.supervisor.events import ContainerState, ContainerStateChanged
 from tests.recording.reading import messages, raw_messages, records
 
 if TYPE_CHECKING:
@@ -61,6 +59,9 @@ def test_each_file_is_complete_by_itself(tmp_path: Path) -> None:
         assert lines == [f"line {2 * number + 1}", f"line {2 * number + 2}"]
         states = [read.message.state for read in messages(path) if read.topic == STATES.name]
         assert states == (["starting", "running"] if number == 0 else ["running"])
+        latest = raw_messages(path, STATES.name)[-1]
+        assert latest.publish_time == 1, "repeated with its own stamp"
+        assert (latest.log_time > 10**18) == (number > 0), "and the time of its repetition"
         (attachment,) = [one for one in records(path) if isinstance(one, Attachment)]
         assert attachment.data == b"a: 1\n"
         metadata = {one.name: one.metadata for one in records(path) if isinstance(one, Metadata)}
@@ -101,13 +102,6 @@ def test_definitions_in_each_file_are_those_of_the_beginning(
         assert set(schemas) == {b"int32 left\n"}
 
 
-def test_what_is_repeated_keeps_its_own_stamp_and_not_its_arrival(tmp_path: Path) -> None:
-    three_parts(tmp_path)
-    (state,) = raw_messages(tmp_path / "session_2.mcap", STATES.name)
-    assert state.publish_time == 1
-    assert state.log_time > 10**18, "else the file would seem to begin long before its time"
-
-
 def test_the_folder_is_one_bag_to_others(tmp_path: Path) -> None:
     three_parts(tmp_path, has_index=True)
     with AnyReader([tmp_path]) as reader:
@@ -143,23 +137,6 @@ def test_nothing_new_begins_no_file(tmp_path: Path) -> None:
         writer.flush()
     assert writer.parts == 2
     writer.close()
-
-
-def test_without_room_for_another_file_it_stays_in_this_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
-    channel = writer.register(OUTPUT)
-    (tmp_path / "x_1.mcap.active").write_bytes(b"in the way")
-    for number in range(3):
-        write_line(writer, channel, number)
-        writer.flush()
-    writer.close()
-    assert writer.parts == 1
-    assert len(messages(tmp_path / "x.mcap")) == 3
-    assert (tmp_path / "x_1.mcap.active").read_bytes() == b"in the way"
-    (warning,) = caplog.records
-    assert "the recording stays in" in warning.getMessage()
 
 
 def test_a_disk_that_is_full_when_another_file_begins_leaves_no_half_one(
@@ -205,12 +182,3 @@ def test_a_file_without_room_for_its_summary_stays_active(
     assert len(raw_messages(tmp_path / "x.mcap.active", OUTPUT.name)) == 1
     assert [read.message.msg for read in messages(tmp_path / "x_1.mcap")] == ["line 2"]
     assert "the next start completes it" in caplog.text
-
-
-def test_the_recorder_says_how_many_files_there_are(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1))
-    recorder = Recorder(writer, limits=RecorderLimits(batch=0, flush=0))
-    line = OutputLine(stamp_ns=1, process="/a", pid=1, stream=Stream.STDOUT, text="x")
-    recorder.publish(line)
-    summary = recorder.close()
-    assert (summary.path, summary.parts, summary.messages) == (tmp_path, 2, 1)

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
-from play_launch_msgs.msg import GraphEvent as GraphMessage
 from play_launch_msgs.msg import StateEvent as StateMessage
 from rclpy.serialization import deserialize_message
 from rclpy.validate_full_topic_name import validate_full_topic_name
@@ -41,7 +40,7 @@ from play_launch.supervisor.events import (
 )
 from play_launch.supervisor.outcome import Cause, Sequel
 from play_launch.supervisor.view import SystemView
-from tests.recording.reading import graph_changed, messages, state_event
+from tests.recording.reading import messages, state_event
 from tests.support.structs import structs
 
 STAMPS = st.integers(0, (2**31 - 1) * 1_000_000_000)
@@ -213,23 +212,6 @@ def test_states_of_an_earlier_version_have_no_cause(
     assert event_of(Message(topic, 1, 1, OLD_STATE_EVENT.write(old), 1, 0)) == plain
 
 
-@settings(deadline=None, max_examples=50)
-@given(GRAPH_CHANGES)
-def test_any_change_of_the_graph_is_read_back_as_it_was(event: GraphChanged) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        writer = BagWriter(Path(folder) / "x.mcap")
-        ((topic, data, _),) = convert(event)
-        writer.write(writer.register(topic), data, log_time=1, publish_time=event.stamp_ns)
-        writer.close()
-        (read,) = messages(writer.path)
-    assert (read.topic, read.type_name) == (
-        "/play_launch/graph",
-        "play_launch_msgs/msg/GraphEvent",
-    )
-    assert graph_changed(read.message) == event
-    assert graph_changed(deserialize_message(data, GraphMessage)) == event
-
-
 @settings(deadline=None, max_examples=100)
 @given(st.one_of(EVENTS, GRAPH_CHANGES, PROCESS_SAMPLES, GROUP_SAMPLES, SYSTEM_SAMPLES))
 def test_our_own_reader_gives_the_event_back(event: RunEvent) -> None:
@@ -242,28 +224,6 @@ def test_our_own_reader_gives_the_event_back(event: RunEvent) -> None:
         topic.metadata.get(topics.KEY, ""),
     )
     assert event_of(Message(read, 0, 0, data, channel=1, offset=0)) == event
-
-
-@settings(deadline=None, max_examples=50)
-@given(st.lists(st.one_of(PROCESS_SAMPLES, GROUP_SAMPLES, SYSTEM_SAMPLES), max_size=5))
-def test_samples_are_plain_numbers_for_any_reader(
-    samples: list[ProcessSample | GroupSample | SystemSample],
-) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        writer = BagWriter(Path(folder) / "x.mcap")
-        channels: dict[topics.Topic, int] = {}
-        for number, sample in enumerate(samples):
-            ((topic, data, _),) = convert(sample)
-            if topic not in channels:
-                channels[topic] = writer.register(topic)
-            writer.write(channels[topic], data, log_time=number, publish_time=sample.stamp_ns)
-        writer.close()
-        for read, sample in zip(messages(writer.path), samples, strict=True):
-            assert read.topic == convert(sample)[0].topic.name
-            for name in type(sample).__annotations__.keys() - {"stamp_ns", "kind", "key"}:
-                value = getattr(read.message, name)
-                expected = getattr(sample, name)
-                assert (tuple(value) if isinstance(expected, tuple) else value) == expected
 
 
 @pytest.mark.parametrize(
@@ -288,16 +248,6 @@ def test_the_topic_of_a_sample_is_one_that_ros_allows(
     assert beside == name.replace("/stats", "/cgroup")
     for each in (name, beside):
         validate_full_topic_name(each)
-
-
-@settings(deadline=None)
-@given(EVENTS)
-def test_the_installed_type_reads_the_same(
-    event: NodeStateChanged | ContainerStateChanged | ProcessEvent,
-) -> None:
-    ((_, data, _),) = convert(event)
-    message: Any = deserialize_message(data, StateMessage)
-    assert state_event(message) == event
 
 
 def test_the_definition_lists_every_state() -> None:

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Metadata
 from msgspec.structs import replace
 
-from play_launch.recording.bag import BagWriter, Rotation
+from play_launch.recording.bag import BagWriter
 from play_launch.recording.chunk import ChannelPart, TopicChunk
 from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.limits import RecorderLimits
@@ -89,18 +89,6 @@ def test_a_chunk_comes_after_what_was_written_before(tmp_path: Path) -> None:
     assert summary.statistics.channel_message_counts == {one: 4, two: 4}
     assert summary.statistics.message_start_time == 90
     assert [each.compression for each in summary.chunk_indexes] == ["zstd", "", "zstd"]
-
-
-def test_each_file_can_be_read_alone(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=4000))
-    channel = writer.register(Topic("/one", LOG))
-    for time in range(1, 9):
-        append(writer, [(channel, time, bytes(1000))])
-    writer.close()
-    files = sorted(tmp_path.glob("*.mcap"))
-    assert len(files) > 2
-    read = [each.log_time for path in files for each in raw_messages(path, "/one")]
-    assert sorted(read) == list(range(1, 9))
 
 
 @given(st.integers(0, 200))
@@ -272,15 +260,3 @@ def test_secrets_are_masked_in_what_is_about_parameters(tmp_path: Path) -> None:
     assert [each.data for each in raw_messages(path, "/one")] == [text + number]
     with path.open("rb") as file:
         assert len(list(make_reader(file, validate_crcs=True).iter_messages())) == 4
-
-
-def test_after_the_end_everything_is_given_up(tmp_path: Path) -> None:
-    recorder = Recorder(BagWriter(tmp_path / "x.mcap"))
-    recorder.close()
-    done, channels = threading.Event(), list[int]()
-    requests = recorder
-    requests.open_channel("/one", LOG, "", channels.append)
-    requests.append_chunk(chunk_of([(1, 5, b"abcd")]), done.set)
-    assert channels == [0]
-    assert done.is_set()
-    assert requests.topic_drops == 1

@@ -7,18 +7,50 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import psutil
+from rosbags.highlevel import AnyReader
 
 from tests.support.loopback_network import wrapped
 from tests.support.shared_memory import segments_of
+from tests.support.waiting import until
 
 COMMAND = Path(sys.executable).parent / "play-launch"
+
+
+def run(
+    *words: object, code: int | None = None, **options: Any
+) -> subprocess.CompletedProcess[str]:
+    """Run the command to its end; with ``code``, it has to exit with that."""
+    command = [str(COMMAND), *map(str, words)]
+    done = subprocess.run(
+        command,
+        check=False,
+        **{"capture_output": True, "text": True, "timeout": 120, **options},
+    )
+    assert code in {None, done.returncode}, f"{done.returncode}: {done.stdout}{done.stderr}"
+    return done
+
+
+def recorded(bag: Path, topic: str) -> list[Any]:
+    """The messages of a topic in a recording, read by code that is not ours."""
+    with AnyReader([bag]) as reader:
+        connections = [each for each in reader.connections if each.topic == topic]
+        # Without connections, it would be all topics.
+        return [
+            reader.deserialize(raw, connection.msgtype)
+            for connection, _, raw in (reader.messages(connections) if connections else ())
+        ]
+
+
+def is_(**wanted: object) -> Callable[[dict[str, Any]], bool]:
+    """Whether an event has these values."""
+    return lambda event: all(event.get(key) == value for key, value in wanted.items())
 
 
 @dataclass
@@ -47,6 +79,40 @@ class Replay:
             if wanted(event):
                 return event
         raise AssertionError(f"the run ended without {what}; it told {self.seen[-5:]}")
+
+    def until(self, **wanted: object) -> dict[str, Any]:
+        """Read events until one with these values, and return it."""
+        return self.read_until(is_(**wanted), f"{wanted}")
+
+    def told(self, **wanted: object) -> list[dict[str, Any]]:
+        """The events that were read and have these values."""
+        return [event for event in self.seen if is_(**wanted)(event)]
+
+    def read_until_up(self, *names: str) -> dict[str, dict[str, Any]]:
+        """Read events until each node is loaded, and each member started; those events by name."""
+        found: dict[str, dict[str, Any]] = {}
+
+        def is_last(event: dict[str, Any]) -> bool:
+            if is_(event="node", state="loaded")(event):
+                found[event["node"]] = event
+            if is_(event="process", kind="started")(event):
+                found[event["name"]] = event
+            return found.keys() >= set(names)
+
+        self.read_until(is_last, f"{names} to be up")
+        return found
+
+    def ask(self, *words: object, code: int | None = None) -> subprocess.CompletedProcess[str]:
+        """Run a command about this session."""
+        return run(*words, "--session", (self.log_dir / "latest").resolve(), code=code)
+
+    def until_operable(self) -> None:
+        """Wait until the session answers, a moment after its start."""
+        until(lambda: self.ask("ps").returncode == 0, "a session that answers")
+
+    def pids(self) -> dict[str, int]:
+        """The process ids of all members and nodes by name, as ``ps`` says."""
+        return {row["name"]: row["pid"] for row in json.loads(self.ask("ps", "--json").stdout)}
 
     def read_until_states(self, wanted: dict[str, str]) -> None:
         """Read events until each node, by its full name, is in its wanted state at last."""

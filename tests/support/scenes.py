@@ -1,8 +1,10 @@
-"""Small systems that several tests bring up."""
+"""Small systems that several tests bring up, and what configurations are made of."""
 
 from __future__ import annotations
 
-from typing import Final
+import json
+from pathlib import Path
+from typing import Any, Final
 
 TALKER_AND_SLEEPER: Final = """
 version: 1
@@ -15,3 +17,21 @@ nodes:
   - {name: sleeper, command: [sleep, "1000"]}
 """
 """A member of each kind."""
+
+
+def node(name: str, plugin: str = "Talker", **more: Any) -> dict[str, Any]:
+    """A composable node of the demo's components."""
+    package = "play_launch_demo"
+    return {"package": package, "plugin": f"{package}::{plugin}", "name": name, **more}
+
+
+def container(name: str, *nodes: dict[str, Any], **more: Any) -> dict[str, Any]:
+    return {"name": name, "composable_nodes": list(nodes), **more}
+
+
+def written(path: Path, **keys: Any) -> Path:
+    """Write a configuration; a folder gets it as ``robot.yaml``."""
+    path = path / "robot.yaml" if path.is_dir() else path
+    # YAML holds JSON.
+    path.write_text(json.dumps({"version": 1, **keys}), encoding="utf-8")
+    return path

@@ -101,7 +101,7 @@ namespace {
 
 using namespace isolation_test;
 
-constexpr int kRounds = 60;
+constexpr int kRounds = 20;
 
 std::atomic<std::uint64_t> kill_time_ns{0};
 

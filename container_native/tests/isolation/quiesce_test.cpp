@@ -113,10 +113,10 @@ constexpr std::array kCases{
          [] { stand_in::spin_once(stand_in::node_library().compute_for_ever); }, 20},
     Case{"waits", wait_in_user_code, 20},
     Case{"sleeps", sleep_in_user_code, 20},
-    Case{"allocates", work_in_the_allocator, 100},
-    Case{"publishes", work_in_the_middleware, 100},
+    Case{"allocates", work_in_the_allocator, 30},
+    Case{"publishes", work_in_the_middleware, 30},
     Case{"publishes by pointer", [] { stand_in::node_library().publish_by_pointer_for_ever(); },
-         100},
+         30},
 };
 
 void test_case(const Case& subject) {

@@ -17,8 +17,6 @@ import pytest
 from play_launch.config.resources import NO_LIMITS, CpuMax, GroupLimits, GroupPolicy
 from play_launch.process.cgroups.group import SUPERVISOR, Group, GroupError
 from play_launch.process.cgroups.session import SessionGroups
-from play_launch.process.cgroups.usage import group_of as group_of_pid
-from play_launch.process.cgroups.usage import usage_of
 from play_launch.process.identity import ProcessIdentity, read_stat
 from tests.support.control_groups import control_group, group_of
 from tests.support.waiting import until
@@ -101,71 +99,11 @@ def test_a_process_outside_of_its_group_is_reported_once(
     assert "; fix: " in record.message
 
 
-def test_an_isolated_container_and_its_nodes_are_in_leaves(base: Path) -> None:
-    groups = begun(base)
-    made = groups.member("/box", NO_LIMITS, has_nodes=True)
-    assert made is not None
-    box, entry = made
-    first = groups.node("/box", "/a", 1, NO_LIMITS)
-    again = groups.node("/box", "/a", 2, NO_LIMITS)
-    assert first
-    assert again
-    with born(entry, "sleep", "600") as container, born(first, "sleep", "600") as node:
-        container_group, node_group = Group(box.path / "container"), Group(box.path / "a.1")
-        assert below(box.path) == ["a.1", "a.2", "container"]
-        until_in(container_group, container)
-        until_in(node_group, node)
-        # What a node leaves is killed when its process has ended, and nothing else is.
-        assert groups.leave(1) == ""
-        assert node.wait() == -signal.SIGKILL
-        until(lambda: not node_group.processes(), "the end of the node")
-        assert container.poll() is None
-        assert sorted(box.processes()) == [container.pid]
-        groups.end()
-        assert container.wait() == -signal.SIGKILL
-    assert not below(base)
-
-
-def test_nodes_in_the_process_of_their_container_have_no_groups(base: Path) -> None:
-    groups = begun(base)
-    groups.member("/box", NO_LIMITS)
-    assert groups.node("/box", "/n", 1, NO_LIMITS) is None
-    assert groups.node("/elsewhere", "/n", 2, NO_LIMITS) is None
-    groups.end()
-
-
 def until_in(group: Group, process: subprocess.Popen[str]) -> None:
     """Wait until a process that is about to enter a group is in there."""
     while process.pid not in group.residents():
         assert process.poll() is None
         os.sched_yield()
-
-
-def test_usage_is_that_of_the_group(base: Path) -> None:
-    groups = begun(base)
-    made = groups.member("/box", NO_LIMITS, has_nodes=True)
-    left: list[Group] = []
-    node = groups.node("/box", "/hog", 1, NO_LIMITS, left.append)
-    assert made is not None
-    assert node
-    box, entry = made
-    assert group_of_pid(os.getpid()) is None
-    spin = 'while :; do case $((i += 1)) in *00000) echo "$i";; esac; done'
-    with born(entry, "sleep", "600") as container, born(node, "sh", "-c", spin) as hog:
-        assert hog.stdout is not None
-        hog.stdout.readline()
-        until_in(Group(box.path / "container"), container)
-        found = [group_of_pid(each.pid) for each in (container, hog)]
-        # That of a container is the one that has its nodes, too.
-        assert [each and each.path for each in found] == [box.path, box.path / "hog.1"]
-        hog.kill()
-        hog.wait()
-        groups.leave(1)
-        assert [each.path.name for each in left] == ["hog.1"]
-        used = usage_of(box)
-        assert used.cpu_seconds is not None
-        assert used.cpu_seconds > 0
-        groups.end()
 
 
 def test_limits_that_the_kernel_has_not_are_reported_once(

@@ -149,6 +149,7 @@ def test_a_crash_writes_what_was_held(tmp_path: Path) -> None:
         replay.read_all()
     assert images(replay.bag) >= 5
     assert raw_messages(replay.bag, "/chatter")
+    assert raw_messages(replay.bag, "/rosout"), "one of the default topics"
 
 
 def test_a_snapshot_writes_what_was_held(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import String
 
+from tests.recording.reading import raw_messages
 from tests.recording.topic_recorder.recording import acknowledged, heard, publish_all, recording
 from tests.recording.topic_recorder.test_recording import cloud, image, strings
 from tests.support.ros import Probe
@@ -94,6 +95,10 @@ def test_mcap_ros2(bag: Path) -> None:
             for _, channel, _, message in reader.iter_decoded_messages(topics=list(SENT))
         ]
     assert sorted(seen(*each) for each in read if not is_greeting(*each)) == EXPECTED
+    stamps = [(each.publish_time, each.log_time) for each in raw_messages(bag, "/chatter")]
+    assert all(0 < published <= logged for published, logged in stamps)
+    sequence = [each.sequence for each in raw_messages(bag, "/chatter")]
+    assert sequence == list(range(1, len(sequence) + 1))
 
 
 def test_mcap_and_foxglove_in_javascript(bag: Path) -> None:
