@@ -1,4 +1,4 @@
-"""Finds the launch file that a command line names: a path, or a package and a file in it."""
+"""Finds and reads launch files, by a path or by a package and a name."""
 
 from __future__ import annotations
 
@@ -7,12 +7,35 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from play_launch.config.source import Refused, read_bytes
 from play_launch.config.substitutions import share_folder
-from play_launch.launch_files.reading import UnreadableError, text_of
 from play_launch.launch_files.records import Failure, LaunchFileError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+LARGEST: Final = 16 * 2**20
+"""Bytes of a launch file, of a parameter file, and of what else is read."""
+
+
+class UnreadableError(Exception):
+    """A file cannot be read; the text is the reason."""
+
+
+def text_of(path: str) -> str:
+    """Return what stands in a file.
+
+    Raises:
+        UnreadableError: When there is none, or it is no text.
+    """
+    content = read_bytes(Path(path), LARGEST)
+    if isinstance(content, Refused):
+        raise UnreadableError(content.message)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise UnreadableError("is not UTF-8") from error
+
 
 _LAUNCH_KEY: Final = re.compile(r"^([\"']?)launch\1\s*:", re.MULTILINE)
 ENDINGS: Final = (".py", ".xml", ".yaml", ".yml", ".launch")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import math
 from enum import StrEnum
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import msgspec
 from msgspec import Struct, field
@@ -21,6 +21,9 @@ from play_launch.config.model import (
     ParameterType,
     ParameterValue,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
 
 FORMAT: Final = 1
 """The version of the JSON."""
@@ -374,3 +377,26 @@ def _from_json(kind: ParameterType, value: Plain) -> Plain:
     if kind in _DOUBLES:
         return _NOT_FINITE[value] if isinstance(value, str) else float(value)
     return value
+
+
+class Losses:
+    """What could not be carried over, in the order in which it was found, each once."""
+
+    def __init__(self, found: Iterable[Loss] = ()) -> None:
+        self._found: dict[Loss, None] = dict.fromkeys(found)
+
+    def __iter__(self) -> Iterator[Loss]:
+        return iter(self._found)
+
+    def lost(self, where: str, what: str) -> None:
+        """Report something that is missing."""
+        self._found[Loss(where, what)] = None
+
+    def note(self, where: str, what: str) -> None:
+        """Report something that is worth knowing."""
+        self._found[Loss(where, what, is_note=True)] = None
+
+    @property
+    def count(self) -> int:
+        """How much is missing; notes are not counted."""
+        return sum(not loss.is_note for loss in self._found)

@@ -22,8 +22,7 @@ from play_launch.config.resolve.parameter_files import matches
 from play_launch.container.command import parameter_file_of
 from play_launch.launch_files.configuration.options import Options
 from play_launch.launch_files.configuration.write import written
-from play_launch.launch_files.parameter_text import read_sections
-from play_launch.launch_files.parameters import take_sections
+from play_launch.launch_files.parameters import read_sections, take_sections
 from play_launch.launch_files.records import (
     Description,
     Process,

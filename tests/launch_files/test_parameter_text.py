@@ -7,7 +7,7 @@ import math
 import pytest
 
 from play_launch.config.model import ParameterType
-from play_launch.launch_files.parameter_text import (
+from play_launch.launch_files.parameters import (
     ParameterTextError,
     read_sections,
     typed,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from play_launch.launch_files.parameter_text import ParameterTextError, read_sections
+from play_launch.launch_files.parameters import ParameterTextError, read_sections
 from play_launch.launch_files.records import Section
 from play_launch.launch_files.ros_launch.rcl_parameters import RclParameters, RclParametersError
 

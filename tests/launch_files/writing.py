@@ -9,9 +9,8 @@ from play_launch.config.load import load_config
 from play_launch.config.model import ReplayConfig
 from play_launch.launch_files.configuration.options import Options
 from play_launch.launch_files.configuration.write import Written, written
-from play_launch.launch_files.losses import Losses
 from play_launch.launch_files.parameters import evaluate_sources
-from play_launch.launch_files.records import Description, ParameterFile, Process, Unit
+from play_launch.launch_files.records import Description, Losses, ParameterFile, Process, Unit
 
 
 def load(made: Written, folder: Path) -> ReplayConfig:

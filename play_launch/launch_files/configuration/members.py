@@ -9,20 +9,18 @@ from typing import TYPE_CHECKING, Any, Final
 from play_launch.config.model import ParameterType
 from play_launch.config.values import check_topic
 from play_launch.launch_files.configuration.options import Containers
-from play_launch.launch_files.configuration.process_parameters import add_parameters, add_sections
-from play_launch.launch_files.configuration.sources import values_of
+from play_launch.launch_files.configuration.sources import add_parameters, add_sections, values_of
 from play_launch.launch_files.configuration.yaml_text import Commented
 from play_launch.launch_files.records import AtExit, ProgramKind, typed_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from play_launch.launch_files.configuration.names import Names
+    from play_launch.launch_files.configuration.files import Paths
     from play_launch.launch_files.configuration.options import Options
-    from play_launch.launch_files.configuration.paths import Paths
+    from play_launch.launch_files.configuration.references import Names
     from play_launch.launch_files.configuration.sources import ParameterSources
-    from play_launch.launch_files.losses import Losses
-    from play_launch.launch_files.records import Composable, Process, Unit
+    from play_launch.launch_files.records import Composable, Losses, Process, Unit
 
 _TYPES: Final = {
     "component_container": "standard",

@@ -1,4 +1,4 @@
-"""The parameters of a node as a configuration gives them: by files, or value by value."""
+"""The parameters of a node and of its process: by files, or value by value."""
 
 from __future__ import annotations
 
@@ -8,22 +8,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.config.model import FOR_ALL, ParameterConfig, ParameterType
 from play_launch.config.problems import Location, Report
-from play_launch.config.resolve.parameter_files import ParameterFileReader
+from play_launch.config.resolve.parameter_files import ParameterFileReader, matches
 from play_launch.config.source import Refused, read_bytes
 from play_launch.config.tree import Cursor, Scalar, ScalarKind
 from play_launch.container.command import parameter_file_text
 from play_launch.launch_files.configuration.yaml_text import Verbatim
-from play_launch.launch_files.losses import Losses
-from play_launch.launch_files.records import Composable, ParameterFile, Values, typed_value
+from play_launch.launch_files.records import Composable, Losses, ParameterFile, Values, typed_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from play_launch.config.model import ParameterValue
-    from play_launch.launch_files.configuration.copies import Copies
+    from play_launch.launch_files.configuration.files import Copies, Paths
     from play_launch.launch_files.configuration.options import Options
-    from play_launch.launch_files.configuration.paths import Paths
-    from play_launch.launch_files.records import Parameter, Source, Unit
+    from play_launch.launch_files.records import Parameter, Process, Source, Unit
 
 Parameters = dict[str, "ParameterValue"]
 
@@ -215,3 +213,38 @@ def same(one: ParameterValue | None, other: ParameterValue) -> bool:
     """Return whether two values are the same for a node."""
     # By text, because NaN is not NaN and 0.0 is -0.0.
     return one is not None and one.type is other.type and repr(one.value) == repr(other.value)
+
+
+def add_parameters(
+    entry: dict[str, Any], unit: Process, sources: ParameterSources, losses: Losses
+) -> None:
+    """Add `parameters` of a process, and `process_parameters` where others in it get something."""
+    own = values_of(unit, unit.parameters, losses)
+    is_named = bool(unit.package and unit.name)
+    if all(_is_for(unit, each.pattern) for each in unit.for_others):
+        # Replay gives those to all nodes of the process.
+        if written := sources.written(unit, own):
+            entry["parameters"] = written
+        return
+    if is_named and (written := sources.written(unit, own)):
+        entry["parameters"] = written
+    add_sections(entry, unit, {} if is_named else own, sources, losses)
+
+
+def add_sections(
+    entry: dict[str, Any], unit: Process, own: Parameters, sources: ParameterSources, losses: Losses
+) -> None:
+    """Add `process_parameters`, and `own` for the node itself, where these do not give it that."""
+    sections = {each.pattern: values_of(unit, each.parameters, losses) for each in unit.for_others}
+    given: Parameters = {}
+    for pattern, values in sections.items():
+        if _is_for(unit, pattern):
+            given |= values
+    if rest := {name: value for name, value in own.items() if not same(given.get(name), value)}:
+        sections[unit.full_name or FOR_ALL] = rest
+    if written := sources.sections(unit, sections):
+        entry["process_parameters"] = written
+
+
+def _is_for(unit: Process, pattern: str) -> bool:
+    return pattern == FOR_ALL or bool(unit.full_name and matches(pattern, unit.full_name))

@@ -11,11 +11,13 @@ from play_launch.config.load import parse_config
 from play_launch.config.problems import ConfigError, Problem
 from play_launch.config.source import Refused, read_bytes
 from play_launch.config.substitutions import Inputs
-from play_launch.launch_files.configuration.copies import Copies
+from play_launch.launch_files.configuration.files import Copies
 from play_launch.launch_files.configuration.system import configuration_of
 from play_launch.launch_files.configuration.yaml_text import printable, yaml_text
-from play_launch.launch_files.losses import Losses
-from play_launch.launch_files.records import Loss  # noqa: TC001 - msgspec reads the annotations
+from play_launch.launch_files.records import (
+    Loss,
+    Losses,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -24,8 +24,7 @@ from play_launch.launch_files.records import Composable, Description, Process, P
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.launch_files.losses import Losses
-    from play_launch.launch_files.records import Source, Unit
+    from play_launch.launch_files.records import Losses, Source, Unit
 
 LISTS: Final = ("node", "container", "load_node")
 _COMPOSABLE: Final = LISTS[-1]

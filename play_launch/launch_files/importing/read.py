@@ -14,7 +14,7 @@ from play_launch.launch_files.configuration.options import Containers, Options
 from play_launch.launch_files.configuration.write import written
 from play_launch.launch_files.importing.launch_dump import is_launch_dump, read_launch_dump
 from play_launch.launch_files.importing.system_model import is_system_model, read_system_model
-from play_launch.launch_files.losses import Losses
+from play_launch.launch_files.records import Losses
 
 if TYPE_CHECKING:
     from pathlib import Path

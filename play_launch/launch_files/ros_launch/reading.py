@@ -14,7 +14,7 @@ import launch.frontend
 import yaml
 from launch_ros.descriptions import ComposableNode
 
-from play_launch.launch_files.reading import LARGEST, UnreadableError, text_of
+from play_launch.launch_files.find import LARGEST, UnreadableError, text_of
 from play_launch.launch_files.records import Place
 from play_launch.launch_files.ros_launch.places import xml_lines, yaml_lines
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from play_launch.launch_files.reading import LARGEST
+from play_launch.launch_files.find import LARGEST
 from play_launch.launch_files.records import (
     Argument,
     Description,

@@ -21,7 +21,7 @@ from play_launch.config.substitutions import Lookup, substitute
 from play_launch.config.tree import Cursor, Mapping
 from play_launch.launch_files.configuration.write import Written
 from play_launch.launch_files.configuration.yaml_text import yaml_text
-from play_launch.launch_files.importing.parameters import typed_values
+from play_launch.launch_files.importing.fields import typed_values
 from play_launch.launch_files.importing.read import NotImportableError, import_system
 from tests.launch_files.importing.autoware_like import (
     CONTAINERS,
