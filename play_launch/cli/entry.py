@@ -24,12 +24,12 @@ def main() -> None:
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _prepare_standard_streams()
     from play_launch.cli.output import (  # noqa: PLC0415 - after the lines above
         is_about_output,
         report_write_error,
     )
 
-    _prepare_standard_streams()
     try:
         _run()
     except OSError as error:
