@@ -35,8 +35,7 @@ from benchmarks.bring_up import COMMAND, ENVIRONMENT, TIMEOUT
 from benchmarks.own_network import enter_namespace, is_inside
 from benchmarks.progress import Progress
 from benchmarks.statistics import header, row
-from play_launch.ros.fastdds.shared_memory import SHARED_MEMORY, sweep
-from play_launch.ros.fastdds.sweep_command import sweep_command
+from play_launch.ros.fastdds.shared_memory import SHARED_MEMORY, sweep, sweep_command
 
 LIMIT = 1.0
 """Seconds from the death of the supervisor to that of everything else."""

@@ -75,14 +75,14 @@ def stop() -> None:
     It may be ros2cli's own one.
     """
     address = _address()
-    from play_launch.graph_daemon.port import Kind, stop_daemon  # noqa: PLC0415
+    from play_launch.graph_daemon.port import OwnerKind, stop_daemon  # noqa: PLC0415
 
     with _system_errors():
         owner = stop_daemon(address)
-    if owner.kind is Kind.FREE:
+    if owner.kind is OwnerKind.FREE:
         say(f"no daemon runs for domain {address.domain}")
     else:
-        whose = "ros2cli's daemon" if owner.kind is Kind.STOCK else "the daemon"
+        whose = "ros2cli's daemon" if owner.kind is OwnerKind.STOCK else "the daemon"
         say(f"{whose} of domain {address.domain} was stopped")
 
 
@@ -94,15 +94,15 @@ def status(as_json: options.Json = False) -> None:
     """
     import json  # noqa: PLC0415
 
-    from play_launch.graph_daemon.port import Kind, find_owner, settings_warnings  # noqa: PLC0415
+    from play_launch.graph_daemon.port import OwnerKind, find_owner, settings_warnings  # noqa: PLC0415
 
     address = _address()
     owner = find_owner(address)
     warnings = settings_warnings(owner, os.environ)
     if as_json:
-        kinds = {Kind.OURS: "play_launch", Kind.STOCK: "ros2cli", Kind.FREE: None}
+        kinds = {OwnerKind.OURS: "play_launch", OwnerKind.STOCK: "ros2cli", OwnerKind.FREE: None}
         values = {
-            "running": owner.kind in {Kind.OURS, Kind.STOCK},
+            "running": owner.kind in {OwnerKind.OURS, OwnerKind.STOCK},
             "daemon": kinds.get(owner.kind, "other"),
             "domain": address.domain,
             "url": address.url,
@@ -117,7 +117,7 @@ def status(as_json: options.Json = False) -> None:
             say(line)
         for warning in warnings:
             warn(warning)
-    if owner.kind not in {Kind.OURS, Kind.STOCK}:
+    if owner.kind not in {OwnerKind.OURS, OwnerKind.STOCK}:
         raise typer.Exit(_NOT_RUNNING)
 
 
@@ -228,18 +228,18 @@ for _verb in (start, stop, status, run, patch, unpatch):
 
 def describe(address: DaemonAddress, owner: PortOwner) -> list[str]:
     """Describe in lines which process serves a domain."""
-    from play_launch.graph_daemon.port import Kind  # noqa: PLC0415
+    from play_launch.graph_daemon.port import OwnerKind  # noqa: PLC0415
 
     domain = f"domain {address.domain}"
     pid = f"pid {owner.pid}" if owner.pid else "unknown pid"
     match owner.kind:
-        case Kind.FREE:
+        case OwnerKind.FREE:
             return [f"no daemon runs for {domain}"]
-        case Kind.STOCK:
+        case OwnerKind.STOCK:
             return [f"ros2cli's own daemon runs for {domain} ({pid})"]
-        case Kind.OTHER:
+        case OwnerKind.OTHER:
             return [f"{owner} has the port of the daemon for {domain}: {owner.problem}"]
-        case Kind.OURS:
+        case OwnerKind.OURS:
             return [f"the daemon runs for {domain} ({pid})", *_facts(owner.status)]
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from play_launch.control.client import ControlClient
-    from play_launch.ros.node_services import NodeParameters
+    from play_launch.ros.node_services import ParameterClient
 
 _TIMEOUT: Final = 5.0
 
@@ -62,7 +62,7 @@ def set_(  # noqa: PLR0917 - options, by name
 ) -> None:
     """Set a parameter of a node."""
 
-    def change(ros: NodeParameters) -> dict[str, Any]:
+    def change(ros: ParameterClient) -> dict[str, Any]:
         ros.set(nodes[0], parameter, value)
         return ros.get(nodes[0], [parameter]) if as_json else {}
 
@@ -86,7 +86,7 @@ def dump(
     found: dict[str, Any] = {}
     missing: list[str] = []
 
-    def read(ros: NodeParameters) -> None:
+    def read(ros: ParameterClient) -> None:
         for node in _chosen:
             try:
                 found[node] = ros.dump(node)
@@ -124,14 +124,14 @@ def _nodes(client: ControlClient, wanted: list[str], *, is_one: bool = False) ->
     return nodes
 
 
-def _asked(client: ControlClient, timeout: float, request: Callable[[NodeParameters], Any]) -> Any:
+def _asked(client: ControlClient, timeout: float, request: Callable[[ParameterClient], Any]) -> Any:
     """Call services of nodes in the session's domain; raises OperationError."""
     from play_launch.cli.connection import enter_environment_of  # noqa: PLC0415 - slow
 
     enter_environment_of(client)
-    from play_launch.ros.node_services import NodeParameters, NodeServiceError  # noqa: PLC0415 - slow
+    from play_launch.ros.node_services import NodeServiceError, ParameterClient  # noqa: PLC0415 - slow
 
-    with NodeParameters(timeout) as ros:
+    with ParameterClient(timeout) as ros:
         try:
             return request(ros)
         except (NodeServiceError, ValueError) as error:

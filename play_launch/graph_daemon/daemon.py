@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final
 
 from play_launch.graph_daemon.contract import IDLE_TIMEOUT, LISTENING, WARM
-from play_launch.graph_daemon.http_server import Server
+from play_launch.graph_daemon.http_server import HttpServer
 from play_launch.graph_daemon.service import GraphService
 from play_launch.graph_daemon.warm_up import addresses, participants_here
 from play_launch.ros.fastdds.middleware import files_here
@@ -136,7 +136,7 @@ class Daemon:
         self._build = build
         self._known, self._addresses_checked = addresses(), self._started
         self._service.use(self._build())
-        self._server = Server(listener, self._service.answer)
+        self._server = HttpServer(listener, self._service.answer)
         self._is_over = asyncio.Event()
         for number in _SIGNALS:
             asyncio.get_running_loop().add_signal_handler(number, self._is_over.set)

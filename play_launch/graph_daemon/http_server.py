@@ -54,7 +54,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ServerLimits:
     """What clients may take."""
 
     deadline: float = 10.0
@@ -67,7 +67,7 @@ class Limits:
     """Seconds that clients are given to take their answers and close when the daemon ends."""
 
 
-class Server:
+class HttpServer:
     """Accepts clients on a listening socket and passes their requests on.
 
     Args:
@@ -80,7 +80,7 @@ class Server:
         self,
         listener: socket.socket,
         answer: Callable[[bytes], Awaitable[bytes]],
-        limits: Limits | None = None,
+        limits: ServerLimits | None = None,
     ) -> None:
         self.answer = answer
         self.requests = 0
@@ -92,9 +92,9 @@ class Server:
         self.is_closing = False
         """Whether it stopped listening."""
         self._listener = listener
-        self._limits = limits or Limits()
+        self._limits = limits or ServerLimits()
         self._most = min(self._limits.connections, _files_allowed(self._limits.connections))
-        self._clients: OrderedDict[Connection, asyncio.Task[None]] = OrderedDict()
+        self._clients: OrderedDict[HttpConnection, asyncio.Task[None]] = OrderedDict()
         """The one that has made no progress for longest is the first."""
         self._tasks: set[asyncio.Task[None]] = set()
         """Those of connections that were reset, too, until they have ended."""
@@ -150,13 +150,13 @@ class Server:
         client.setblocking(False)
         if len(self._clients) >= self._most:
             self._reset(next(iter(self._clients)))
-        connection = Connection(self, client, self._limits.deadline)
+        connection = HttpConnection(self, client, self._limits.deadline)
         task = self._loop.create_task(connection.serve())
         self._clients[connection] = task
         self._tasks.add(task)
         task.add_done_callback(functools.partial(self._ended, connection))
 
-    def _ended(self, connection: Connection, task: asyncio.Task[None]) -> None:
+    def _ended(self, connection: HttpConnection, task: asyncio.Task[None]) -> None:
         connection.close()
         self._tasks.discard(task)
         if connection in self._clients:
@@ -167,23 +167,23 @@ class Server:
         elif error is not None and not isinstance(error, OSError):
             _log.error("a connection was reset by a defect of the daemon", exc_info=error)
 
-    def _reset(self, connection: Connection) -> None:
+    def _reset(self, connection: HttpConnection) -> None:
         self.resets += 1
         self._forget(connection).cancel()
 
-    def _forget(self, connection: Connection) -> asyncio.Task[None]:
+    def _forget(self, connection: HttpConnection) -> asyncio.Task[None]:
         self.held -= connection.held
         return self._clients.pop(connection)
 
     # What connections call.
 
-    def progressed(self, connection: Connection) -> None:
+    def progressed(self, connection: HttpConnection) -> None:
         """Put it behind those that have made no progress for longer."""
         self.requests += 1
         if connection in self._clients:
             self._clients.move_to_end(connection)
 
-    def hold(self, connection: Connection, size: int) -> None:
+    def hold(self, connection: HttpConnection, size: int) -> None:
         """Count what a connection holds; reset the oldest clients while all hold too much."""
         if connection not in self._clients:
             return
@@ -194,7 +194,7 @@ class Server:
             self._reset(next(other for other in self._clients if other.held))
 
 
-class Connection:
+class HttpConnection:
     """Reads at most one request and `_READ_AT_ONCE`; the rest waits in the kernel.
 
     Args:
@@ -203,7 +203,7 @@ class Connection:
         deadline: Seconds for a request and its answer; an idle client is kept as long.
     """
 
-    def __init__(self, server: Server, client: socket.socket, deadline: float) -> None:
+    def __init__(self, server: HttpServer, client: socket.socket, deadline: float) -> None:
         self._server = server
         self._socket = client
         self._deadline = deadline

@@ -28,7 +28,7 @@ from play_launch.graph_daemon.graph_client import (
     RemoteError,
 )
 from play_launch.graph_daemon.port import PortHeldError
-from play_launch.graph_daemon.start_stop import StartError, start_daemon
+from play_launch.graph_daemon.start_stop import DaemonStartError, start_daemon
 from play_launch.supervisor.events import GraphChanged
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ async def observe_graph(environment: Mapping[str, str], sink: EventSink) -> None
                     environment=environment,
                 )
             )
-        except (PortHeldError, StartError, OSError) as error:
+        except (PortHeldError, DaemonStartError, OSError) as error:
             observer.warn_once(f"no graph daemon: {error}")
         else:
             log = _log.info if started.started else _log.warning

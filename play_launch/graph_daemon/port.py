@@ -75,7 +75,7 @@ _DEFAULTS: Final = {
 }
 
 
-class Kind(Enum):
+class OwnerKind(Enum):
     """The kind of process that owns the port."""
 
     FREE = auto()
@@ -90,7 +90,7 @@ class Kind(Enum):
 class PortOwner:
     """The process that listens on the port of a domain."""
 
-    kind: Kind
+    kind: OwnerKind
     pid: int = 0
     """0 where the process belongs to another user."""
     command: str = ""
@@ -129,26 +129,26 @@ def find_owner(address: DaemonAddress, timeout: float = PROBE_TIMEOUT) -> PortOw
             status = json.loads(client.call(STATUS_METHOD))
         except RemoteError:
             if client.call("get_name").startswith(NODE_PREFIX):
-                return PortOwner(Kind.STOCK, *_listener(address.port))
+                return PortOwner(OwnerKind.STOCK, *_listener(address.port))
             raise
         pid = int(status["pid"])
     except NoDaemonError:
-        return PortOwner(Kind.FREE)
+        return PortOwner(OwnerKind.FREE)
     except (ValueError, KeyError, TypeError):
         problem = "its status is not that of a graph daemon"
-        return PortOwner(Kind.OTHER, *_listener(address.port), problem=problem)
+        return PortOwner(OwnerKind.OTHER, *_listener(address.port), problem=problem)
     except DaemonError as error:
-        return PortOwner(Kind.OTHER, *_listener(address.port), problem=str(error))
+        return PortOwner(OwnerKind.OTHER, *_listener(address.port), problem=str(error))
     # They may hold passwords: the kernel gives them to the same user only.
     with contextlib.suppress(psutil.Error, OSError):
         environment = {**psutil.Process(pid).environ(), DOMAIN_VARIABLE: str(address.domain)}
         status["settings"] = compared_settings(environment, str(status.get("rmw", "")))
-    return PortOwner(Kind.OURS, pid, status=status)
+    return PortOwner(OwnerKind.OURS, pid, status=status)
 
 
 def settings_warnings(owner: PortOwner, caller: Mapping[str, str]) -> tuple[str, ...]:
     """Describe the settings of our daemon that differ from those of the caller's environment."""
-    if owner.kind is not Kind.OURS:
+    if owner.kind is not OwnerKind.OURS:
         return ()
     settings = owner.status.get("settings")
     if not isinstance(settings, dict):
@@ -198,12 +198,12 @@ def acquire(
     """
     messages: tuple[str, ...] = ()
     owner = find_owner(address)
-    if owner.kind is Kind.OURS and not restart:
+    if owner.kind is OwnerKind.OURS and not restart:
         return Port(None, owner.pid, settings_warnings(owner, environment))
-    if owner.kind is Kind.STOCK:
+    if owner.kind is OwnerKind.STOCK:
         messages = (f"took over from ros2cli's daemon{f' (pid {owner.pid})' * bool(owner.pid)}",)
     _request_end(address, owner)
-    limit = TIME_WAIT if owner.kind is not Kind.OURS else STOP_TIMEOUT
+    limit = TIME_WAIT if owner.kind is not OwnerKind.OURS else STOP_TIMEOUT
     begin = time.monotonic()
     is_notified = False
     while True:
@@ -215,9 +215,9 @@ def acquire(
         if waited > _NOTICE_AFTER:
             # Another start was faster, or a command of ros2cli has started its daemon again.
             owner = find_owner(address)
-            if owner.kind is Kind.OURS and not restart:
+            if owner.kind is OwnerKind.OURS and not restart:
                 return Port(None, owner.pid, settings_warnings(owner, environment))
-            if owner.kind is not Kind.FREE:
+            if owner.kind is not OwnerKind.FREE:
                 _request_end(address, owner)
             elif not is_notified:
                 is_notified = True
@@ -248,12 +248,12 @@ def stop_daemon(address: DaemonAddress) -> PortOwner:
     Raises ``PortHeldError`` when the owner is no daemon, or does not end.
     """
     owner = find_owner(address)
-    if owner.kind is Kind.FREE:
+    if owner.kind is OwnerKind.FREE:
         return owner
     _request_end(address, owner)
     deadline = time.monotonic() + STOP_TIMEOUT
     process = _process(owner.pid)
-    while find_owner(address).kind is not Kind.FREE or (process and process.is_running()):
+    while find_owner(address).kind is not OwnerKind.FREE or (process and process.is_running()):
         if process and process.is_running() and process.status() == psutil.STATUS_ZOMBIE:
             break
         if time.monotonic() > deadline:
@@ -263,9 +263,9 @@ def stop_daemon(address: DaemonAddress) -> PortOwner:
 
 
 def _request_end(address: DaemonAddress, owner: PortOwner) -> None:
-    if owner.kind is Kind.OTHER:
+    if owner.kind is OwnerKind.OTHER:
         raise PortHeldError(f"{owner} has the daemon's port {address.port}: {owner.problem}")
-    if owner.kind is not Kind.FREE:
+    if owner.kind is not OwnerKind.FREE:
         # It may end before it has answered.
         with contextlib.suppress(DaemonError):
             GraphClient(address, STOP_TIMEOUT).call(SHUTDOWN_METHOD)

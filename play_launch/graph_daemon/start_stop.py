@@ -34,14 +34,14 @@ _EXIT_TIMEOUT: Final = 3.0
 _LINES_OF_LOG: Final = 5
 
 
-class StartError(UserError):
+class DaemonStartError(UserError):
     """The daemon could not be started; the text is a message for the user."""
 
     exit_code = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Started:
+class StartedDaemon:
     """Result of a start."""
 
     started: bool
@@ -61,7 +61,7 @@ def start_daemon(
     restart: bool = False,
     environment: Mapping[str, str] = os.environ,
     notify: Callable[[str], None] = lambda _: None,
-) -> Started:
+) -> StartedDaemon:
     """Start a daemon in the background, unless one of ours runs.
 
     Args:
@@ -72,11 +72,11 @@ def start_daemon(
         environment: Environment of the daemon's process.
         notify: As of `acquire`.
 
-    Raises ``PortHeldError``, ``StartError`` and ``OSError``, with messages for the user.
+    Raises ``PortHeldError``, ``DaemonStartError`` and ``OSError``, with messages for the user.
     """
     port = acquire(address, restart=restart, environment=environment, notify=notify)
     if port.listener is None:
-        return Started(started=False, pid=port.pid, messages=port.messages)
+        return StartedDaemon(started=False, pid=port.pid, messages=port.messages)
     with port.listener as listener:
         process = spawn(
             address,
@@ -85,7 +85,7 @@ def start_daemon(
             wait_for=wait_for,
             environment=environment,
         )
-    return Started(started=True, pid=process.pid, messages=port.messages, process=process)
+    return StartedDaemon(started=True, pid=process.pid, messages=port.messages, process=process)
 
 
 def log_path(address: DaemonAddress, environment: Mapping[str, str] = os.environ) -> Path:
@@ -113,10 +113,10 @@ def spawn(
         limit: Seconds until that state must be reached.
         environment: As of `start_daemon`.
 
-    Raises ``StartError`` after ending a daemon that does not reach the state.
+    Raises ``DaemonStartError`` after ending a daemon that does not reach the state.
     """
     if full := full_shared_memory(shared_memory_room()):
-        raise StartError(f"{full}; fix: {SHARED_MEMORY_FIX}")
+        raise DaemonStartError(f"{full}; fix: {SHARED_MEMORY_FIX}")
     read, write = os.pipe()
     log = _log_file(log_path(address, environment))
     try:
@@ -144,7 +144,7 @@ def spawn(
     except OSError as error:
         os.close(read)
         log.close()
-        raise StartError(f"the daemon could not be started: {error}") from None
+        raise DaemonStartError(f"the daemon could not be started: {error}") from None
     finally:
         os.close(write)
     with log:
@@ -158,7 +158,7 @@ def spawn(
                 process.wait(_EXIT_TIMEOUT)
             process.kill()
             process.wait()
-            raise StartError(f"the daemon ended or hung while it started{_end_of(log)}")
+            raise DaemonStartError(f"the daemon ended or hung while it started{_end_of(log)}")
     return process
 
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
+
+from play_launch.ros.thread import RosThread, RosThreadError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rclpy.node import Node
-
-    from play_launch.ros.thread import RosThread
-
 
 _LISTS: Final = 8
 """Requests for a list that may be open: answers get lost, and a late one still counts."""
@@ -52,7 +50,6 @@ class CompositionClient:
         """Talk to the container with this full name; nothing is sent yet."""
         self._ros = ros
         self._name = container
-        self._loop = asyncio.get_running_loop()
         self._clients: dict[str, Any] = {}
         self._open: set[asyncio.Future[Any]] = set()
         self._closed = False
@@ -123,63 +120,34 @@ class CompositionClient:
         self._ros.post(self._destroy)
 
     def _request(
-        self, name: str, request: Callable[[Any], Any], read: Callable[[Any], Any]
+        self, name: str, message: Callable[[Any], Any], read: Callable[[Any], Any]
     ) -> asyncio.Future[Any]:
-        future: asyncio.Future[Any] = self._loop.create_future()
+        future = asyncio.ensure_future(self._answer(name, message, read))
         self._open.add(future)
         future.add_done_callback(self._open.discard)
-
-        def finish(reply: Any, error: BaseException | None) -> None:
-            if future.done():
-                return
-            if error is not None:
-                future.set_exception(error)
-            else:
-                future.set_result(read(reply))
-
-        def answered(ros_future: Any) -> None:
-            error = ros_future.exception()
-            self._hand_over(finish, None if error else ros_future.result(), error)
-
-        def send(_: Node) -> None:
-            if self._closed or future.done():
-                return
-            client = self._clients[name]
-            try:
-                expected = client.call_async(request(client.srv_type))
-            except Exception as error:  # noqa: BLE001 - it is the caller's
-                self._hand_over(finish, None, error)
-                return
-            expected.add_done_callback(answered)
-            self._hand_over(future.add_done_callback, lambda _: forget(client, expected))
-
-        def forget(client: Any, expected: Any) -> None:
-            if future.cancelled() and not self._closed:
-                self._ros.post(lambda _: client.remove_pending_request(expected))
-
-        def can_send(node: Node) -> bool:
-            return self._closed or future.done() or self._client(node, name).service_is_ready()
-
-        # The other services have been waited for; where they are gone, the container is.
-        when = can_send if name == "unload_node" else None
-        self._ros.post(send, lambda error: self._hand_over(finish, None, error), when=when)
         return future
 
-    def _hand_over(self, callback: Callable[..., None], *values: Any) -> None:
-        # The loop may have ended in the meantime.
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(callback, *values)
+    async def _answer(
+        self, name: str, message: Callable[[Any], Any], read: Callable[[Any], Any]
+    ) -> Any:
+        # The other services have been waited for; where they are gone, the container is.
+        if name == "unload_node":
+            await self._ros.until(lambda node: self._client(node, name).service_is_ready())
+        return read(await self._ros.request(lambda node: self._client(node, name), message))
 
     def _create(self, node: Node) -> None:
         # The client that asks first is made last: once a container answers it, it knows the other
         # as well. That for unloading is made when it is needed: each is discovered by all others.
-        for name in _NEEDED:
-            self._client(node, name)
+        if not self._closed:
+            for name in _NEEDED:
+                self._client(node, name)
 
     def _client(self, node: Node, name: str) -> Any:
         # Takes long, so it is done in the thread.
         from composition_interfaces import srv  # noqa: PLC0415
 
+        if self._closed:
+            raise RosThreadError(f"the client of {self._name} is closed")
         if name not in self._clients:
             kind = getattr(srv, _SERVICES[name])
             self._clients[name] = node.create_client(kind, f"{self._name}/_container/{name}")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 import anyio
+
+from play_launch.ros.thread import hand_over
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -85,16 +86,10 @@ class ManagedNodeClient:
             limit *= 2
 
     async def _call(self, name: str, fill: Callable[[Any], Any]) -> Any:
-        def send(_: Node) -> Any:
-            client = self._entities[name]  # gone only when it was closed, and has no waiters
-            return client.call_async(fill(client.srv_type.Request()))
-
-        return await self._ros.request(send)
-
-    def _hand_over(self, callback: Callable[..., None], *values: Any) -> None:
-        # A loop that has ended in the meantime has no waiters.
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(callback, *values)
+        # It is gone only when this was closed, and has no waiters.
+        return await self._ros.request(
+            lambda _: self._entities[name], lambda kind: fill(kind.Request())
+        )
 
     def _create(self, node: Node) -> None:
         # Takes long, so it is done in the thread.
@@ -102,7 +97,7 @@ class ManagedNodeClient:
         from lifecycle_msgs.srv import ChangeState, GetState  # noqa: PLC0415
 
         def on_event(event: Any) -> None:
-            self._hand_over(self._hear, int(event.goal_state.id))
+            hand_over(self._loop, self._hear, int(event.goal_state.id))
 
         self._entities = {
             "transition_event": node.create_subscription(

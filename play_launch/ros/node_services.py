@@ -79,7 +79,7 @@ class NodeServices:
         return True
 
 
-class NodeParameters(NodeServices):
+class ParameterClient(NodeServices):
     """Parameters of running nodes as plain values; types are kept."""
 
     def __init__(self, limit: float) -> None:

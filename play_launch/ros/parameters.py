@@ -65,7 +65,7 @@ async def _set(ros: RosThread, node: str, parameters: Sequence[ParameterConfig])
         request = SetParametersAtomically.Request()
         request.parameters = [to_parameter_message(each) for each in parameters]
         with anyio.move_on_after(ANSWER_LIMIT) as asking:
-            answer = await ros.request(lambda _: client.call_async(request))
+            answer = await ros.request(lambda _: client, lambda _: request)
         if asking.cancelled_caught:
             return f"its parameter service does not answer within {ANSWER_LIMIT:g} s"
     finally:

@@ -134,11 +134,11 @@ class RosThread:
             try:
                 result = work(node)
             except Exception as error:  # noqa: BLE001 - it is the caller's
-                _hand_over(loop, _fail, future, error)
+                hand_over(loop, _fail, future, error)
             else:
-                _hand_over(loop, _finish, future, result)
+                hand_over(loop, _finish, future, result)
 
-        self.post(run, lambda error: _hand_over(loop, _fail, future, error))
+        self.post(run, lambda error: hand_over(loop, _fail, future, error))
         return await future
 
     async def until(self, holds: Callable[[Node], bool]) -> None:
@@ -154,12 +154,12 @@ class RosThread:
             try:
                 return future.done() or holds(node)
             except Exception as error:  # noqa: BLE001
-                _hand_over(loop, _fail, future, error)
+                hand_over(loop, _fail, future, error)
                 return True
 
         self.post(
-            lambda _: _hand_over(loop, _finish, future, None),
-            lambda error: _hand_over(loop, _fail, future, error),
+            lambda _: hand_over(loop, _finish, future, None),
+            lambda error: hand_over(loop, _fail, future, error),
             when=is_over,
         )
         try:
@@ -168,11 +168,11 @@ class RosThread:
             self.post(lambda _: self._look_again())  # else it stays until the graph changes
             raise
 
-    async def request(self, send: Callable[[Node], Any]) -> Any:
-        """Have a service's client send a request in the thread and wait for the response.
+    async def request(self, client: Callable[[Node], Any], message: Callable[[Any], Any]) -> Any:
+        """Send a request of a service's client and wait for the response.
 
-        ``send`` returns rclpy's future of it. Raises what ``call`` does, and what comes in place of
-        a response.
+        Both are called in the thread, the second one with the type of the service. Raises what
+        ``call`` does, and what comes in place of a response.
         """
         loop = asyncio.get_running_loop()
         response: asyncio.Future[Any] = loop.create_future()
@@ -180,12 +180,22 @@ class RosThread:
         def came(expected: Any) -> None:
             error = expected.exception()
             if error is None:
-                _hand_over(loop, _finish, response, expected.result())
+                hand_over(loop, _finish, response, expected.result())
             else:
-                _hand_over(loop, _fail, response, error)
+                hand_over(loop, _fail, response, error)
 
-        await self.call(lambda node: send(node).add_done_callback(came))
-        return await response
+        def send(node: Node) -> tuple[Any, Any]:
+            sender = client(node)
+            expected = sender.call_async(message(sender.srv_type))
+            expected.add_done_callback(came)
+            return sender, expected
+
+        sender, expected = await self.call(send)
+        try:
+            return await response
+        except asyncio.CancelledError:
+            self.post(lambda _: sender.remove_pending_request(expected))
+            raise
 
     def listen(self, on_change: Callable[[], None]) -> Callable[[], None]:
         """Have ``on_change`` called in this event loop after changes of the graph.
@@ -195,7 +205,7 @@ class RosThread:
         loop = asyncio.get_running_loop()
 
         def changed() -> None:
-            _hand_over(loop, on_change)
+            hand_over(loop, on_change)
 
         self.post(lambda _: self._listeners.append(changed))
 
@@ -366,7 +376,8 @@ def open_node(name: str, domain_id: int | None = None) -> tuple[Context, Node, s
     return context, node, rmw
 
 
-def _hand_over(loop: asyncio.AbstractEventLoop, callback: Callable[..., Any], *values: Any) -> None:
+def hand_over(loop: asyncio.AbstractEventLoop, callback: Callable[..., Any], *values: Any) -> None:
+    """Call something in a loop, from any thread."""
     # A loop that has ended in the meantime has no waiters.
     with suppress(RuntimeError):
         loop.call_soon_threadsafe(callback, *values)

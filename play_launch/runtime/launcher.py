@@ -38,8 +38,7 @@ from play_launch.process.program import SpawnError
 from play_launch.process.session import Shared
 from play_launch.process.stop import StopPolicy, stop
 from play_launch.recording.facts import OURSELVES, package_version
-from play_launch.ros.fastdds.shared_memory import sweep_shared_memory
-from play_launch.ros.fastdds.sweep_command import sweep_command
+from play_launch.ros.fastdds.shared_memory import sweep_command, sweep_shared_memory
 from play_launch.runtime.commands import (
     Groups,
     Machine,

@@ -15,7 +15,7 @@ import pytest
 
 from play_launch.graph_daemon.contract import STATUS_METHOD, DaemonAddress
 from play_launch.graph_daemon.http_head import LONGEST_BODY as LARGEST_BODY
-from play_launch.graph_daemon.http_server import Limits
+from play_launch.graph_daemon.http_server import ServerLimits
 from tests.graph_daemon.wire import ask, post, read, request_body
 from tests.support.waiting import until
 
@@ -66,7 +66,7 @@ def test_silent_connections(abused: DaemonAddress) -> None:
 
 def test_more_connections_than_there_may_be(abused: DaemonAddress) -> None:
     with contextlib.ExitStack() as stack:
-        for _ in range(Limits().connections + 300):
+        for _ in range(ServerLimits().connections + 300):
             stack.enter_context(connect(abused))
         until(lambda: json.loads(ask(abused, STATUS_METHOD))["resets"] >= 300, "resets")
         assert ask(abused, "get_namespace") == "/"

@@ -15,7 +15,7 @@ import pytest
 from play_launch.cli.daemon import describe
 from play_launch.graph_daemon.contract import DaemonAddress
 from play_launch.graph_daemon.daemon import DaemonStatus
-from play_launch.graph_daemon.port import Kind, PortOwner, stop_daemon
+from play_launch.graph_daemon.port import OwnerKind, PortOwner, stop_daemon
 from tests.graph_daemon.occupants import occupied
 
 COMMAND = Path(sys.executable).parent / "play-launch"
@@ -126,10 +126,10 @@ def test_a_time_that_is_none_is_a_mistake_in_usage() -> None:
     assert "--idle-timeout" in err
 
 
-@pytest.mark.parametrize("kind", list(Kind))
-def test_every_owner_is_described(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", list(OwnerKind))
+def test_every_owner_is_described(kind: OwnerKind) -> None:
     owner = PortOwner(kind, 7, "nc -l", problem="it is silent")
     (first, *_) = describe(DaemonAddress(3), owner)
     assert "domain 3" in first
-    if kind is not Kind.FREE:
+    if kind is not OwnerKind.FREE:
         assert "7" in first

@@ -13,7 +13,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 import pytest
 
 from play_launch.graph_daemon.http_head import LONGEST_BODY
-from play_launch.graph_daemon.http_server import Limits, Server
+from play_launch.graph_daemon.http_server import HttpServer, ServerLimits
 
 WAIT = 60.0
 ANSWER = b"<answer/>"
@@ -28,13 +28,13 @@ def call(body: bytes = b"call", *, keep: bool = True) -> bytes:
 class Clients:
     """A server, and clients of it."""
 
-    def __init__(self, limits: Limits, answer: Callable[[bytes], bytes | None]) -> None:
+    def __init__(self, limits: ServerLimits, answer: Callable[[bytes], bytes | None]) -> None:
         listener = socket.socket()
         listener.bind(("127.0.0.1", 0))
         listener.listen(1024)
         self.port = listener.getsockname()[1]
         self.held_replies: list[Callable[[bytes], None]] = []
-        self.server = Server(listener, self._answer, limits)
+        self.server = HttpServer(listener, self._answer, limits)
         self._make = answer
 
     async def _answer(self, body: bytes) -> bytes:
@@ -72,9 +72,9 @@ async def read_answer(reader: asyncio.StreamReader) -> bytes:
 
 @contextlib.asynccontextmanager
 async def serving(
-    limits: Limits | None = None, answer: Callable[[bytes], bytes | None] = lambda _: ANSWER
+    limits: ServerLimits | None = None, answer: Callable[[bytes], bytes | None] = lambda _: ANSWER
 ) -> AsyncIterator[Clients]:
-    clients = Clients(limits or Limits(), answer)
+    clients = Clients(limits or ServerLimits(), answer)
     clients.server.start()
     try:
         yield clients
@@ -136,7 +136,7 @@ def test_a_late_answer_holds_back_the_next_request_of_its_client_only() -> None:
 
 def test_an_answer_for_a_client_that_left_is_dropped() -> None:
     async def scenario() -> None:
-        async with serving(Limits(farewell=0.1), answer=lambda _: None) as clients:
+        async with serving(ServerLimits(farewell=0.1), answer=lambda _: None) as clients:
             _, writer = await clients.connect()
             writer.write(call())
             await clients.until(lambda: bool(clients.held_replies))
@@ -167,7 +167,7 @@ def test_a_client_that_sent_its_end_gets_its_answer() -> None:
 )
 def test_a_client_that_stands_still_is_reset_and_disturbs_nobody(beginning: bytes) -> None:
     async def scenario() -> None:
-        async with serving(Limits(deadline=0.5)) as clients:
+        async with serving(ServerLimits(deadline=0.5)) as clients:
             reader, writer = await clients.connect()
             writer.write(beginning)
             for _ in range(5):
@@ -181,7 +181,7 @@ def test_a_client_that_stands_still_is_reset_and_disturbs_nobody(beginning: byte
 
 def test_a_client_that_sends_byte_by_byte_has_no_more_time_than_others() -> None:
     async def scenario() -> None:
-        async with serving(Limits(deadline=0.5)) as clients:
+        async with serving(ServerLimits(deadline=0.5)) as clients:
             reader, writer = await clients.connect()
 
             async def trickle() -> None:
@@ -206,7 +206,7 @@ def test_a_client_that_never_reads_is_reset_and_its_answer_freed() -> None:
         def made(body: bytes) -> bytes:
             return answer if body == b"big" else ANSWER
 
-        async with serving(Limits(deadline=0.5), answer=made) as clients:
+        async with serving(ServerLimits(deadline=0.5), answer=made) as clients:
             _, writer = await clients.connect()
             writer.transport.pause_reading()  # type: ignore[attr-defined]
             writer.write(call(b"big") * 10)
@@ -233,7 +233,7 @@ def test_a_client_that_sends_without_a_pause_keeps_nobody_waiting(stream: bytes)
                             return
 
     async def scenario() -> None:
-        async with serving(Limits(farewell=0.1)) as clients:
+        async with serving(ServerLimits(farewell=0.1)) as clients:
             flooding = asyncio.create_task(asyncio.to_thread(flood, clients.port))
             await clients.until(lambda: clients.server.requests > 0)
             for _ in range(5):
@@ -291,7 +291,7 @@ def test_what_is_held_for_all_clients_is_bounded() -> None:
         def made(body: bytes) -> bytes:
             return answer if body == b"big" else ANSWER
 
-        async with serving(Limits(deadline=30, memory=memory), answer=made) as clients:
+        async with serving(ServerLimits(deadline=30, memory=memory), answer=made) as clients:
             writers = []
             for _ in range(10):
                 _, writer = await clients.connect()
@@ -309,7 +309,7 @@ def test_what_is_held_for_all_clients_is_bounded() -> None:
 
 def test_bodies_that_are_begun_are_bounded_too() -> None:
     async def scenario() -> None:
-        limits = Limits(deadline=30, memory=10 * LONGEST_BODY)
+        limits = ServerLimits(deadline=30, memory=10 * LONGEST_BODY)
         async with serving(limits) as clients:
             writers = []
             for _ in range(50):
@@ -352,7 +352,7 @@ def test_a_burst_of_clients_is_served_without_a_reset() -> None:
 
 def test_where_there_are_too_many_the_one_without_progress_goes() -> None:
     async def scenario() -> None:
-        async with serving(Limits(connections=10)) as clients:
+        async with serving(ServerLimits(connections=10)) as clients:
             silent = [await clients.connect() for _ in range(10)]
             await clients.until(lambda: clients.server.connections == 10)
             for _ in range(5):
@@ -378,7 +378,7 @@ def test_noise_is_answered_or_reset_and_never_ends_the_server() -> None:
 
     async def scenario() -> None:
         noise = random.Random(1)
-        async with serving(Limits(deadline=0.5, farewell=0.1)) as clients:
+        async with serving(ServerLimits(deadline=0.5, farewell=0.1)) as clients:
             for _ in range(40):
                 reader, writer = await clients.connect()
                 with contextlib.suppress(ConnectionError):
@@ -396,7 +396,7 @@ def test_after_the_end_the_port_can_be_bound_at_once() -> None:
     """Also without SO_REUSEADDR, as ros2cli's daemon does it."""
 
     async def scenario() -> None:
-        async with serving(Limits(farewell=0.2)) as clients:
+        async with serving(ServerLimits(farewell=0.2)) as clients:
             kept, writer = await clients.connect()
             writer.write(call())
             await read_answer(kept)
@@ -414,7 +414,7 @@ def test_after_the_end_the_port_can_be_bound_at_once() -> None:
 
 def test_clients_that_waited_are_answered_although_it_ends() -> None:
     async def scenario() -> None:
-        clients = Clients(Limits(), lambda _: ANSWER)
+        clients = Clients(ServerLimits(), lambda _: ANSWER)
         clients.server.start()
         # The loop does not run meanwhile, so nobody is accepted.
         waiting = [socket.create_connection(("127.0.0.1", clients.port)) for _ in range(20)]

@@ -17,10 +17,10 @@ import pytest
 
 from play_launch.graph_daemon import port
 from play_launch.graph_daemon.contract import LISTENING, STATUS_METHOD, DaemonAddress
-from play_launch.graph_daemon.port import Kind, PortHeldError, find_owner, listen, stop_daemon
+from play_launch.graph_daemon.port import OwnerKind, PortHeldError, find_owner, listen, stop_daemon
 from play_launch.graph_daemon.start_stop import (
-    Started,
-    StartError,
+    DaemonStartError,
+    StartedDaemon,
     log_path,
     spawn,
     start_daemon,
@@ -35,10 +35,10 @@ WAIT = 60.0
 
 @pytest.fixture(autouse=True)
 def _ended(address: DaemonAddress, logs: Path) -> Iterator[None]:
-    assert find_owner(address).kind is Kind.FREE
+    assert find_owner(address).kind is OwnerKind.FREE
     yield
     stop_daemon(address)
-    assert find_owner(address).kind is Kind.FREE
+    assert find_owner(address).kind is OwnerKind.FREE
 
 
 def sweep_after_a_kill() -> None:
@@ -46,7 +46,7 @@ def sweep_after_a_kill() -> None:
     sweep()  # or somebody else has, meanwhile
 
 
-def gone(started: Started) -> int:
+def gone(started: StartedDaemon) -> int:
     assert started.process is not None
     return started.process.wait(WAIT)
 
@@ -64,12 +64,12 @@ def stock_can_start(address: DaemonAddress) -> bool:
 def test_a_start_a_second_start_and_a_stop(address: DaemonAddress) -> None:
     first = start_daemon(address)
     assert first.started
-    assert find_owner(address).kind is Kind.OURS
+    assert find_owner(address).kind is OwnerKind.OURS
     second = start_daemon(address)
     assert not second.started
     assert second.pid == first.pid
     assert second.messages == ()
-    assert stop_daemon(address).kind is Kind.OURS
+    assert stop_daemon(address).kind is OwnerKind.OURS
     assert stock_can_start(address)
     assert gone(first) == 0
 
@@ -104,7 +104,7 @@ def test_where_a_profile_lies_it_stays_there(
 
 
 def test_only_one_of_many_starts_starts_one(address: DaemonAddress) -> None:
-    found: list[Started] = []
+    found: list[StartedDaemon] = []
 
     def start() -> None:
         found.append(start_daemon(address))
@@ -226,7 +226,7 @@ def test_one_that_cannot_start_is_reported_with_its_reason(
     broken.mkdir()
     (broken / "__init__.py").write_text('raise ImportError("this rclpy is broken")')
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with listen(address) as listener, pytest.raises(StartError, match="this rclpy is broken"):
+    with listen(address) as listener, pytest.raises(DaemonStartError, match="this rclpy is broken"):
         spawn(address, listener, idle_timeout=0, wait_for=LISTENING)
     assert stock_can_start(address)
 

@@ -28,13 +28,13 @@ from play_launch.graph_daemon.observer import (
     observe_graph,
 )
 from play_launch.graph_daemon.port import (
-    Kind,
+    OwnerKind,
     PortHeldError,
     PortOwner,
     find_owner,
     stop_daemon,
 )
-from play_launch.graph_daemon.start_stop import Started, start_daemon
+from play_launch.graph_daemon.start_stop import StartedDaemon, start_daemon
 from play_launch.ros.fastdds.shared_memory import sweep
 from play_launch.supervisor.events import GraphChanged, RunEvent
 from tests.graph_daemon.occupants import occupied
@@ -110,7 +110,7 @@ async def ours(address: DaemonAddress, *, but: int = 0) -> PortOwner:
     """Wait for a daemon of ours, another one than that process."""
     while True:
         owner = await asyncio.to_thread(find_owner, address)
-        if owner.kind is Kind.OURS and owner.status["pid"] != but:
+        if owner.kind is OwnerKind.OURS and owner.status["pid"] != but:
             return owner
 
 
@@ -118,7 +118,7 @@ async def ours(address: DaemonAddress, *, but: int = 0) -> PortOwner:
 def _ended(address: DaemonAddress, logs: Path) -> Iterator[None]:
     yield
     stop_daemon(address)
-    assert find_owner(address).kind is Kind.FREE
+    assert find_owner(address).kind is OwnerKind.FREE
 
 
 @pytest.mark.usefixtures("_ended")
@@ -168,7 +168,7 @@ def test_without_a_daemon_it_tries_again_and_warns_once(
     monkeypatch.setattr(observer, "BETWEEN_STARTS", 0.1)
     problems: list[str] = []
 
-    def counted(*arguments: Any, **options: Any) -> Started:
+    def counted(*arguments: Any, **options: Any) -> StartedDaemon:
         # A thread that is left behind must not start one for the next test.
         if len(problems) == 3:
             raise PortHeldError(problems[0])

@@ -230,12 +230,12 @@ def test_without_a_daemon_ours_is_started(
         monkeypatch.setattr(graph, "daemon_address", lambda: addresses[-1])
         started = []
 
-        def start(address: DaemonAddress, **_options: object) -> start_stop.Started:
+        def start(address: DaemonAddress, **_options: object) -> start_stop.StartedDaemon:
             # From now on somebody listens there.
             assert address is addresses[0]
             started.append(address)
             address.__dict__["_port"] = daemon.address.port
-            return start_stop.Started(started=True, pid=1, messages=("took over",))
+            return start_stop.StartedDaemon(started=True, pid=1, messages=("took over",))
 
         monkeypatch.setattr(start_stop, "start_daemon", start)
         assert command_line(["node", "list"]) == 0
@@ -248,8 +248,8 @@ def test_without_a_daemon_ours_is_started(
 def test_a_daemon_that_cannot_be_started_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def start(_address: DaemonAddress, **_options: object) -> start_stop.Started:
-        raise start_stop.StartError("no rclpy here")
+    def start(_address: DaemonAddress, **_options: object) -> start_stop.StartedDaemon:
+        raise start_stop.DaemonStartError("no rclpy here")
 
     address = free_address()
     monkeypatch.setattr(graph, "daemon_address", lambda: address)

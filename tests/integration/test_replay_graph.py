@@ -11,7 +11,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from play_launch.graph_daemon.contract import DaemonAddress, daemon_address
-from play_launch.graph_daemon.port import Kind, find_owner, stop_daemon
+from play_launch.graph_daemon.port import OwnerKind, find_owner, stop_daemon
 from tests.graph_daemon.occupants import occupied
 from tests.support.replay import replaying
 
@@ -44,7 +44,7 @@ def test_the_graph_is_served_and_recorded(address: DaemonAddress, tmp_path: Path
         summary = replay.read_all()[-1]
         assert summary["exit_code"] == 128 + signal.SIGINT
     # Other sessions may use it.
-    assert find_owner(address).kind is Kind.OURS
+    assert find_owner(address).kind is OwnerKind.OURS
     with AnyReader([replay.bag]) as reader:
         recorded: list[Any] = [
             reader.deserialize(data, connection.msgtype)
@@ -91,6 +91,6 @@ def test_without_the_wish_there_is_no_daemon(tmp_path: Path) -> None:
         replay.read_until(
             lambda event: event["event"] == "node" and event["state"] == "loaded", "the talker"
         )
-        assert find_owner(daemon_address()).kind is Kind.FREE
+        assert find_owner(daemon_address()).kind is OwnerKind.FREE
         replay.process.send_signal(signal.SIGINT)
         assert "graph" not in {event["event"] for event in replay.read_all()}

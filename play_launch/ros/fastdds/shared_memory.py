@@ -28,6 +28,7 @@ import errno
 import fcntl
 import os
 import re
+import sys
 import threading
 import time
 from contextlib import ExitStack, contextmanager, suppress
@@ -364,3 +365,9 @@ def _is_left(lock: Path) -> bool:
             return False
     # A receiver that shares its port holds the other lock with others, so that ours is no proof.
     return lock.name.endswith("_el") and not lock.with_name(f"{lock.name[:-3]}_sl").exists()
+
+
+def sweep_command() -> list[str]:
+    """Return the command that sweeps after the supervisor's exit, in its environment."""
+    # -P: the working directory is not trusted.
+    return [sys.executable, "-P", "-m", "play_launch.ros.fastdds"]
