@@ -14,8 +14,8 @@ from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.findings import findings, is_wrong
 from play_launch.postmortem.frames import plain_function
 from play_launch.postmortem.known_causes import BY_NAME, known_by
-from play_launch.postmortem.locate import located
 from play_launch.postmortem.parameters import is_of_the_node, shortened
+from play_launch.postmortem.source_lines import located
 from play_launch.postmortem.timeline import read_timeline
 from play_launch.supervisor.outcome import ExitCode
 

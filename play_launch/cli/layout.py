@@ -10,10 +10,13 @@ import typer
 
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import say
-from play_launch.postmortem.export.foxglove import foxglove_layout
-from play_launch.postmortem.export.plotjuggler import plotjuggler_layout
-from play_launch.postmortem.export.subjects import NO_SUBJECT, chosen
-from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.export.layouts import (
+    NO_SUBJECT,
+    chosen,
+    foxglove_layout,
+    plotjuggler_layout,
+)
+from play_launch.postmortem.timeline import read_timeline
 from play_launch.supervisor.outcome import ExitCode
 
 Tool = Literal["foxglove", "plotjuggler"]
@@ -37,9 +40,9 @@ def layout(
     """
     subjects, code = NO_SUBJECT, 0
     if file is not None:
-        session = PastSession(file)
-        subjects = chosen(session)
-        code = ExitCode.DAMAGED if report_damage(session.reader) else 0
+        timeline = read_timeline(file)
+        subjects = chosen(timeline)
+        code = ExitCode.DAMAGED if report_damage(timeline.session.reader) else 0
     if tool == "foxglove":
         say(json.dumps(foxglove_layout(subjects), indent=2))
     else:

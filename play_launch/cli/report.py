@@ -10,11 +10,11 @@ from play_launch.cli.info import report_damage
 from play_launch.cli.output import OutputError, fail, say, size, write_file
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.findings import findings
-from play_launch.postmortem.locate import located
 from play_launch.postmortem.report.facts import Point, contents
 from play_launch.postmortem.report.gather import Gathered
 from play_launch.postmortem.report.page import render
 from play_launch.postmortem.report.parameters import parameters_shown
+from play_launch.postmortem.source_lines import located
 from play_launch.postmortem.timeline import Timeline
 from play_launch.recording.folder import beside
 from play_launch.supervisor.outcome import ExitCode

@@ -56,6 +56,12 @@ class LastLines:
             ring = rings[logger] = deque(maxlen=MOST)
         ring.append(message)
 
+    def of(self, container: str, name: str, until_ns: int) -> tuple[str, ...]:
+        """Give the latest lines of a unit; ``container`` is empty for what is no node."""
+        if container:
+            return self.of_node(container, name, until_ns)
+        return self.of_process(name, until_ns)
+
     def of_process(self, name: str, until_ns: int) -> tuple[str, ...]:
         """Give the latest lines of a process up to that moment."""
         return _latest(iter(self._rings.get(name.encode(), {}).values()), until_ns)

@@ -241,6 +241,10 @@ class Samples:
             if series.at(len(series) - 1).memory_kind != MemoryKind.SHARED
         }
 
+    def used(self) -> dict[str, _Sample]:
+        """Give the latest sample of each, by key."""
+        return {key: series.at(len(series) - 1) for key, series in self._with_samples()}
+
     def mean_cpu(self) -> dict[str, float]:
         """Give the percentage of a core that each used, by key: CPU time by time."""
         return {

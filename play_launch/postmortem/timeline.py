@@ -135,6 +135,8 @@ class Timeline:
 
     def _take_of(self, topic: RecordedTopic) -> Callable[[Message], RunEvent | None]:
         if topic.type_name == topics.PROCESS_STATS:
+            if topic.kind.upper() in SubjectKind.__members__:
+                self.unit(SubjectKind[topic.kind.upper()], topic.key)
             return self.samples.of(topic.key)
         if topic.type_name == topics.GROUP_STATS:
             return self.groups.of(topic.key)
@@ -161,10 +163,8 @@ class Timeline:
         """Take one event, received at that log time."""
         match event:
             case NodeStateChanged():
-                self._version1.is_over |= event.cause is not Cause.NOT_RECORDED
                 self._node(event, at_ns)
             case ProcessEvent():
-                self._version1.is_over |= event.cause is not Cause.NOT_RECORDED
                 self._process(event, at_ns)
             case ContainerStateChanged():
                 self._container(event, at_ns)
@@ -190,7 +190,7 @@ class Timeline:
 
     def _container(self, event: ContainerStateChanged, at_ns: int) -> None:
         unit = self.unit(SubjectKind.CONTAINER, event.container)
-        if unit.state is None or not isinstance(unit.state, ContainerState):
+        if not isinstance(unit.state, ContainerState):
             unit.changes.clear()
         if event.state is ContainerState.STARTING:
             # With a reason, it waits for its turn.
@@ -253,6 +253,7 @@ class Timeline:
 
     def _process(self, event: ProcessEvent, at_ns: int) -> None:
         unit = self.of_name(event.name)
+        self._version1.is_over |= event.cause is not Cause.NOT_RECORDED
         if event.cause is Cause.NOT_RECORDED:
             event = self._version1.process(event, is_stopping=unit.is_stopping)
         unit.restarts, is_failure = event.restarts, False
@@ -404,19 +405,13 @@ class Timeline:
 
     def last_lines(self, unit: Unit) -> tuple[str, ...]:
         """Give the last lines of a unit up to its latest change of state."""
-        until = unit.since_ns + _LATE_LINES
-        if unit.container:
-            return self._lines.of_node(unit.container, unit.name, until)
-        return self._lines.of_process(unit.name, until)
+        return self._lines.of(unit.container, unit.name, unit.since_ns + _LATE_LINES)
 
     def _read_lines(self, failure: Failure) -> None:
         until = failure.log_time + _LATE_LINES
-        if failure.container:
-            # When it is loaded again, other lines follow.
+        if failure.container:  # when a node is loaded again, other lines follow
             until = min(until, failure.back_at or until)
-            failure.last_lines = self._lines.of_node(failure.container, failure.who, until)
-        else:
-            failure.last_lines = self._lines.of_process(failure.who, until)
+        failure.last_lines = self._lines.of(failure.container, failure.who, until)
 
 
 def read_timeline(path: Path, *, only_failures: bool = False) -> Timeline:

@@ -13,11 +13,11 @@ import pytest
 from play_launch.postmortem.elf_files import debug_files, read_elf
 from play_launch.postmortem.findings import Finding
 from play_launch.postmortem.frames import Frame, frame_of
-from play_launch.postmortem.locate import located
 from play_launch.postmortem.source_lines import (
     Backtrace,
     Module,
     SourceLines,
+    located,
     module_of,
     source_lines,
 )

@@ -11,10 +11,14 @@ from mcap.reader import make_reader
 
 from play_launch.cli.layout import layout as show_layout
 from play_launch.container.cdr.messages import PROCESS_STATS, STATE_EVENT, SYSTEM_STATS
-from play_launch.postmortem.export.foxglove import foxglove_layout
-from play_launch.postmortem.export.plotjuggler import plotjuggler_layout
-from play_launch.postmortem.export.subjects import MOST, NO_SUBJECT, chosen
-from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.export.layouts import (
+    MOST,
+    NO_SUBJECT,
+    chosen,
+    foxglove_layout,
+    plotjuggler_layout,
+)
+from play_launch.postmortem.timeline import read_timeline
 from play_launch.supervisor.events import MemoryKind, NodeState, RunEvent, SubjectKind, SystemSample
 from tests.postmortem.export.test_trace import KEY, node, sample
 from tests.postmortem.test_session import record
@@ -128,7 +132,7 @@ def test_of_many_nodes_those_that_failed_and_the_busiest_are_shown(tmp_path: Pat
         sample(key=f"/box:/n{number}", cpu_seconds=float(number)) for number in range(30)
     ]
     events += [sample(cpu_seconds=0.5), node(NodeState.CRASHED)]
-    subjects = chosen(PastSession(record(tmp_path / "x.mcap", events)))
+    subjects = chosen(read_timeline(record(tmp_path / "x.mcap", events)))
     assert len(subjects.others) == MOST
     assert subjects.others[0].key == str(KEY)
     assert subjects.others[1].key == "/box:/n29"
