@@ -13,7 +13,7 @@ import typer
 from play_launch.cli import options
 from play_launch.cli.output import counted, fail, printable, say, warn
 from play_launch.postmortem.bag_reader import NotARecordingError
-from play_launch.postmortem.crash_groups import CrashGroup, CrashGroups
+from play_launch.postmortem.comparison import CrashGroup, CrashGroups
 from play_launch.postmortem.timeline import read_timeline
 from play_launch.recording.folder import ACTIVE_SUFFIX, part_file
 from play_launch.supervisor.outcome import ExitCode

@@ -13,7 +13,6 @@ from play_launch.postmortem.findings import findings
 from play_launch.postmortem.report.facts import Point, contents
 from play_launch.postmortem.report.gather import Gathered
 from play_launch.postmortem.report.page import render
-from play_launch.postmortem.report.parameters import parameters_shown
 from play_launch.postmortem.source_lines import located
 from play_launch.postmortem.timeline import Timeline
 from play_launch.recording.folder import beside
@@ -41,7 +40,7 @@ def report(file: options.Recording, output: options.OutputBeside = None) -> int:
         gathered.finish()
         started_ns = timeline.session.started_ns
         points = tuple(_points(findings(timeline), started_ns))
-        every = contents(gathered, points, parameters_shown(timeline.parameters, started_ns))
+        every = contents(gathered, points)
         count = write_file(output, render(every))
     except NotARecordingError as error:
         fail(str(error))

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 from msgspec.structs import replace
 
+from play_launch.postmortem.parameters import shortened
 from play_launch.postmortem.report.configuration import Configuration, configuration
 from play_launch.postmortem.report.gather import Arrival, Mark, Row  # noqa: TC001 - fields of a Struct
 from play_launch.postmortem.report.page import shown
-from play_launch.postmortem.report.parameters import NodeParameters  # noqa: TC001 - as above
 from play_launch.postmortem.report.series import packed, quantised, time_planes, value_planes
 from play_launch.postmortem.report.usage import PROCESS_COLUMNS, SYSTEM_COLUMNS
 
@@ -20,12 +20,34 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from play_launch.postmortem.bag_reader import BagReader
+    from play_launch.postmortem.parameters import KnownParameters, Parameters
     from play_launch.postmortem.report.gather import Gathered
     from play_launch.postmortem.report.usage import Series
     from play_launch.postmortem.session import PastSession
 
+_MOST_PARAMETERS: Final = 20_000
+"""Parameters and changes of all nodes together; a page of 110 nodes has about 2,000."""
 _LARGEST_FACTS = 1_000_000
 """Bytes of an attachment that is shown as names and values."""
+
+
+class ParameterChanged(Struct, frozen=True):
+    """A change; times are milliseconds since the start."""
+
+    at: float
+    name: str
+    before: str
+    after: str
+
+
+class NodeParameters(Struct, frozen=True):
+    """Those of one node at the end of the session."""
+
+    node: str
+    note: str
+    """What to know about them; empty: they are what it answered, and what changed since."""
+    values: tuple[tuple[str, str], ...]
+    changes: tuple[ParameterChanged, ...]
 
 
 class Point(Struct, frozen=True):
@@ -109,7 +131,6 @@ class Contents(Struct, frozen=True):
 def contents(
     gathered: Gathered,
     story: Sequence[Point] = (),
-    parameters: Sequence[NodeParameters] = (),
 ) -> Contents:
     """Put together what a page shows of a session that was read to its end."""
     session = gathered.timeline.session
@@ -132,7 +153,7 @@ def contents(
         arrivals=gathered.arrivals(),
         part=gathered.rates.width,
         topics=_topics(reader, gathered),
-        parameters=tuple(parameters),
+        parameters=_parameters(gathered.timeline.parameters, session.started_ns),
         configuration=configuration(reader.path, reader.attachments),
         session=_session(session),
         lanes=len(lanes.rows),
@@ -225,3 +246,42 @@ def _session(session: PastSession) -> dict[str, str]:
         shown(name): shown(value if isinstance(value, str) else json.dumps(value))
         for name, value in values.items()
     }
+
+
+def _parameters(parameters: Parameters, started_ns: int) -> tuple[NodeParameters, ...]:
+    """Give what a page shows, by node."""
+    left = _MOST_PARAMETERS
+    found = []
+    for name, known in sorted(parameters.nodes.items()):
+        each = _of_node(name, known, started_ns, left)
+        left -= len(each.values) + len(each.changes)
+        found.append(each)
+    return tuple(found)
+
+
+def _of_node(name: str, known: KnownParameters, started_ns: int, most: int) -> NodeParameters:
+    values = sorted(known.values.items())
+    notes = []
+    if known.error:
+        notes.append(f"When it was asked last: {known.error}.")
+    if not known.asked_ns:
+        notes.append("Only what changed is known.")
+    left_out = len(values) - min(len(values), most)
+    changes = known.changes[: max(0, most - len(values))]
+    left_out += len(known.changes) - len(changes) + known.further_changes
+    if left_out:
+        notes.append(f"Left out, as a page cannot hold as many: {left_out:,}.")
+    return NodeParameters(
+        shown(name),
+        shown(" ".join(notes)),
+        tuple((shown(one), shown(shortened(value))) for one, value in values[:most]),
+        tuple(
+            ParameterChanged(
+                (each.at_ns - started_ns) / 1e6,
+                shown(each.name),
+                "not set" if each.before is None else shown(shortened(each.before)),
+                "not set" if each.after is None else shown(shortened(each.after)),
+            )
+            for each in changes
+        ),
+    )
