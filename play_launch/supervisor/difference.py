@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from msgspec.structs import asdict, replace
 
@@ -20,6 +20,7 @@ from play_launch.supervisor.events import (
     SubjectKind,
     Withdrawn,
 )
+from play_launch.supervisor.inputs import ProbeResult
 from play_launch.supervisor.world import STATE_OF_PHASE, Phase
 
 if TYPE_CHECKING:
@@ -107,10 +108,17 @@ def _same_kind(old: Process | None, new: Process) -> Process | None:
 
 
 def _goal_events(old: Goal | None, new: Goal | None, stamp_ns: int) -> Iterator[RunEvent]:
+    before = ManagedState.ABSENT if old is None else old.state
     if new is None and old is not None:
         new = replace(old, state=ManagedState.ABSENT, reason="")
-    if new is not None and new is not old:
-        yield from _goal(old, new, stamp_ns)
+    if new is not None and new.state is not before and new.config.autostart is not None:
+        yield ManagedNodeChanged(
+            stamp_ns=stamp_ns,
+            unit=new.unit,
+            node=new.config.name,
+            state=new.state,
+            reason=new.reason,
+        )
 
 
 def _withdrawn(process: Process, stamp_ns: int) -> Withdrawn:
@@ -151,27 +159,25 @@ def _process(old: Process | None, new: Process, stamp_ns: int) -> Iterator[RunEv
 def _after_nodes(old: Process | None, new: Process, stamp_ns: int) -> Iterator[RunEvent]:
     """Give the events that are published after those of the nodes of a container."""
     if new.container is None and (text := _new_wait(old, new)):
-        yield _event(new, ProcessEventKind.WAITING, stamp_ns, message=text)
+        yield _event(new, ProcessEventKind.WAITING, stamp_ns, text)
     before = Phase.STOPPED if old is None else old.phase
     if new.stopped and not (old and old.stopped and old.attempt == new.attempt):
-        yield _event(new, ProcessEventKind.STOPPING, stamp_ns, message=new.reason)
+        yield _event(new, ProcessEventKind.STOPPING, stamp_ns, new.reason)
     if new.phase is before:
         return
     match new.phase:
         case Phase.RUNNING if new.hello is not None:
-            message = new.hello.description
-            yield _event(new, ProcessEventKind.READY, stamp_ns, message=message)
+            yield _event(new, ProcessEventKind.READY, stamp_ns, new.hello.description)
         case Phase.KILLING:
             message = f"killed: {new.killed_because}"
-            yield _event(new, ProcessEventKind.STOPPING, stamp_ns, message=message)
+            yield _event(new, ProcessEventKind.STOPPING, stamp_ns, message)
         case Phase.BACKOFF:
-            yield _event(new, ProcessEventKind.RESTARTING, stamp_ns, message=new.reason)
+            yield _event(new, ProcessEventKind.RESTARTING, stamp_ns, new.reason)
         case Phase.GAVE_UP:
-            yield _event(new, ProcessEventKind.GAVE_UP, stamp_ns, message=new.reason)
-        case Phase.STOPPED if before in {Phase.BACKOFF, Phase.QUEUED}:
+            yield _event(new, ProcessEventKind.GAVE_UP, stamp_ns, new.reason)
+        case Phase.STOPPED if new.container is None and before in {Phase.BACKOFF, Phase.QUEUED}:
             # Without an exit to report, it would be shown as waiting for its start.
-            if new.container is None:
-                yield _event(new, ProcessEventKind.STOPPED, stamp_ns, message=new.reason)
+            yield _event(new, ProcessEventKind.STOPPED, stamp_ns, new.reason)
         case _:
             pass
 
@@ -185,15 +191,7 @@ def _new_wait(old: Process | Node | None, new: Process | Node) -> str:
 
 
 def _event(
-    process: Process,
-    kind: ProcessEventKind,
-    stamp_ns: int,
-    *,
-    message: str = "",
-    exit_code: int = 0,
-    signal: int = 0,
-    command: tuple[str, ...] = (),
-    restarts: int | None = None,
+    process: Process, kind: ProcessEventKind, stamp_ns: int, message: str = "", **more: Any
 ) -> ProcessEvent:
     return ProcessEvent(
         stamp_ns=stamp_ns,
@@ -201,11 +199,9 @@ def _event(
         name=process.name,
         pid=process.pid,
         start_time=process.start_time,
-        exit_code=exit_code,
-        signal=signal,
-        restarts=process.restarts.total if restarts is None else restarts,
+        restarts=more.pop("restarts", process.restarts.total),
         message=message,
-        command=command,
+        **more,
         **asdict(process.outcome),
     )
 
@@ -238,52 +234,42 @@ def _node(old: Node | None, new: Node, now: float, stamp_ns: int) -> Iterator[Ru
         **asdict(new.outcome),
     )
     if new.is_confirmed and (old is None or old.state is not new.state):
-        yield _confirmation(new, stamp_ns)
+        yield _component(
+            new,
+            ComponentEventKind.LOADED,
+            stamp_ns,
+            full_node_name=new.full_node_name,
+            pid=new.pid,
+            start_time=new.start_time,
+            confirmed_by="status",
+        )
+
+
+def _component(node: Node, kind: ComponentEventKind, stamp_ns: int, **more: Any) -> ComponentEvent:
+    """Give the event of a load that its container did not report."""
+    return ComponentEvent(
+        stamp_ns=stamp_ns,
+        kind=kind,
+        container=node.key.container,
+        unique_id=node.unique_id,
+        attempt=node.attempt,
+        package_name=node.config.package,
+        plugin_name=node.config.plugin,
+        **more,
+    )
 
 
 def _refusal(node: Node, stamp_ns: int) -> ComponentEvent:
-    finding = node.finding
-    return ComponentEvent(
-        stamp_ns=stamp_ns,
-        kind=ComponentEventKind.LOAD_FAILED,
-        container=node.key.container,
-        unique_id=node.unique_id,
-        attempt=node.attempt,
+    found = node.finding or ProbeResult()
+    return _component(
+        node,
+        ComponentEventKind.LOAD_FAILED,
+        stamp_ns,
         full_node_name=node.key.name,
-        package_name=node.config.package,
-        plugin_name=node.config.plugin,
         error_message=node.reason,
-        exit_code=finding.exit_code if finding and not finding.signal else 0,
-        signal=finding.signal if finding else 0,
-        backtrace=finding.backtrace if finding else (),
-        modules=finding.modules if finding else (),
-        confirmed_by="supervisor" if finding is None else "probe",
+        exit_code=0 if found.signal else found.exit_code,
+        signal=found.signal,
+        backtrace=found.backtrace,
+        modules=found.modules,
+        confirmed_by="supervisor" if node.finding is None else "probe",
     )
-
-
-def _confirmation(node: Node, stamp_ns: int) -> ComponentEvent:
-    return ComponentEvent(
-        stamp_ns=stamp_ns,
-        kind=ComponentEventKind.LOADED,
-        container=node.key.container,
-        unique_id=node.unique_id,
-        attempt=node.attempt,
-        full_node_name=node.full_node_name,
-        package_name=node.config.package,
-        plugin_name=node.config.plugin,
-        pid=node.pid,
-        start_time=node.start_time,
-        confirmed_by="status",
-    )
-
-
-def _goal(old: Goal | None, new: Goal, stamp_ns: int) -> Iterator[RunEvent]:
-    before = ManagedState.ABSENT if old is None else old.state
-    if new.state is not before and new.config.autostart is not None:
-        yield ManagedNodeChanged(
-            stamp_ns=stamp_ns,
-            unit=new.unit,
-            node=new.config.name,
-            state=new.state,
-            reason=new.reason,
-        )
