@@ -21,7 +21,7 @@ from play_launch.config.model import (
     OnExit,
     Output,
 )
-from play_launch.config.section import Section, listed, nested, optional, raw, required
+from play_launch.config.section import ConfigSection, listed, nested, optional, raw, required
 from play_launch.config.sections import (
     CgroupsSection,
     DependencySection,
@@ -172,7 +172,7 @@ _REMAPPINGS = raw(
 )
 
 
-class LoadingSection(Section):
+class LoadingSection(ConfigSection):
     """`composable_node_loading`: defaults for all containers."""
 
     container_type = _CONTAINER_TYPE
@@ -196,7 +196,7 @@ class LoadingSection(Section):
     restart = _RESTART
 
 
-class ComposableNodeSection(Section):
+class ComposableNodeSection(ConfigSection):
     """One entry of `composable_nodes`."""
 
     package = required(kinds.PACKAGE, "Package that has the component.", "play_launch_demo")
@@ -226,7 +226,7 @@ class ComposableNodeSection(Section):
     restart = _RESTART
 
 
-class ContainerSection(Section):
+class ContainerSection(ConfigSection):
     """One entry of `containers`."""
 
     name = required(
@@ -284,7 +284,7 @@ class ContainerSection(Section):
     )
 
 
-class ProcessSection(Section):
+class ProcessSection(ConfigSection):
     """One entry of `nodes`."""
 
     command = optional(kinds.COMMAND, "The program and its arguments.", ["python3", "my_node.py"])
@@ -327,7 +327,7 @@ class ProcessSection(Section):
     log_level = _LOG_LEVEL
 
 
-class DocumentSection(Section):
+class DocumentSection(ConfigSection):
     """The top level of the file."""
 
     version = required(kinds.VERSION, "Version of this format.", 1)

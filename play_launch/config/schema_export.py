@@ -8,7 +8,7 @@ from play_launch.config.kinds import STRING_FORM, any_of, list_form
 from play_launch.config.schema import DocumentSection
 
 if TYPE_CHECKING:
-    from play_launch.config.section import JsonSchema, Key, Section
+    from play_launch.config.section import ConfigSection, JsonSchema, Key
 
 _MERGED: Final = frozenset({"ComposableNodeSection", "ProcessSection"})
 """Sections in which nothing is required: an entry may be merged with an included one."""
@@ -27,7 +27,7 @@ def json_schema() -> dict[str, Any]:
     }
 
 
-def _section(section: type[Section], definitions: dict[str, Any]) -> JsonSchema:
+def _section(section: type[ConfigSection], definitions: dict[str, Any]) -> JsonSchema:
     properties = {}
     for name, key in section.keys.items():
         examples = {"examples": list(key.examples)} if key.examples else {}

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 JsonSchema = dict[str, Any]
 Value = TypeVar("Value")
-SomeSection = TypeVar("SomeSection", bound="Section")
+SomeSection = TypeVar("SomeSection", bound="ConfigSection")
 
 _LONGEST_KEY_TO_GUESS = 40
 _MOST_GUESSES = 100  # guessing takes long beside everything else; a file with more is no typo
@@ -61,7 +61,7 @@ class Key(NamedTuple):
     required: bool = False
     raw: bool = False
     """Whether the section gets the YAML node in place of a value."""
-    section: type[Section] | None = None
+    section: type[ConfigSection] | None = None
     """The section of the value, or of each item in it where `is_list`."""
     is_list: bool = False
     or_name: bool = False
@@ -90,7 +90,7 @@ def raw(form: JsonSchema, description: str, *examples: object, merging: bool = F
 
 
 def listed(
-    section: type[Section], description: str, *examples: object, or_name: bool = False
+    section: type[ConfigSection], description: str, *examples: object, or_name: bool = False
 ) -> Any:
     """Declare an optional key with a list of sections, which are checked one by one."""
     key = Key(core_schema.any_schema(), description, examples, raw=True, section=section)
@@ -104,7 +104,7 @@ def nested(section: type[SomeSection], description: str, *examples: object) -> S
     return key  # type: ignore[no-any-return]
 
 
-class Section:
+class ConfigSection:
     """A mapping of the configuration. A subclass has the keys of its base after its own."""
 
     keys: ClassVar[dict[str, Key]] = {}
@@ -236,7 +236,7 @@ def _refuse_tags(at: Cursor) -> bool:
     return True
 
 
-def _report_error(details: ErrorDetails, section: type[Section], at: Cursor) -> None:
+def _report_error(details: ErrorDetails, section: type[ConfigSection], at: Cursor) -> None:
     entry: Entry | None = None
     owner = section
     steps = list(details["loc"])

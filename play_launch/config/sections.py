@@ -5,10 +5,10 @@ from __future__ import annotations
 from play_launch.config import kinds
 from play_launch.config.dependency import OnTimeout, UnitCondition
 from play_launch.config.resources import SchedulerPolicy
-from play_launch.config.section import Section, nested, optional, raw, required
+from play_launch.config.section import ConfigSection, nested, optional, raw, required
 
 
-class DependencySection(Section):
+class DependencySection(ConfigSection):
     """One entry of `depends_on`; a string there is the `name`."""
 
     name = optional(
@@ -38,7 +38,7 @@ class DependencySection(Section):
     )
 
 
-class BackoffSection(Section):
+class BackoffSection(ConfigSection):
     """`backoff`: the pause before a restart grows from `initial` to `maximum`."""
 
     initial = optional(
@@ -49,7 +49,7 @@ class BackoffSection(Section):
     )
 
 
-class RestartSection(Section):
+class RestartSection(ConfigSection):
     """`restart`: at most `max_restarts` times `within` a duration."""
 
     max_restarts = optional(
@@ -67,7 +67,7 @@ class RestartSection(Section):
     )
 
 
-class StopSection(Section):
+class StopSection(ConfigSection):
     """`stop`: how long each step of stopping may take."""
 
     ask = optional(
@@ -81,7 +81,7 @@ class StopSection(Section):
     )
 
 
-class RotateSection(Section):
+class RotateSection(ConfigSection):
     """`record.rotate`: when the recording goes on in a new file."""
 
     size = optional(kinds.SIZE_OR_NEVER, "Size of the file, or never. By default 1 GB.", "500 MB")
@@ -92,14 +92,14 @@ class RotateSection(Section):
     )
 
 
-class KeepSection(Section):
+class KeepSection(ConfigSection):
     """`record.keep`: what is kept of earlier sessions."""
 
     sessions = optional(kinds.integer(1, 1_000_000), "Number of sessions. By default all.", 20)
     size = optional(kinds.SIZE, "Size of the sessions together. By default unlimited.", "10 GB")
 
 
-class SamplingSection(Section):
+class SamplingSection(ConfigSection):
     """`record.sampling`: how often processes and the machine are measured."""
 
     period = optional(
@@ -109,7 +109,7 @@ class SamplingSection(Section):
     )
 
 
-class BeforeCrashSection(Section):
+class BeforeCrashSection(ConfigSection):
     """`record.before_crash`: what is kept in memory until something fails."""
 
     topics = required(
@@ -123,7 +123,7 @@ class BeforeCrashSection(Section):
     )
 
 
-class RecordSection(Section):
+class RecordSection(ConfigSection):
     """`record`: how the session is recorded."""
 
     sync = optional(
@@ -156,7 +156,7 @@ class RecordSection(Section):
     )
 
 
-class SchedulerSection(Section):
+class SchedulerSection(ConfigSection):
     """`resources.scheduler`: the policy of the kernel's scheduler."""
 
     policy = required(
@@ -168,9 +168,9 @@ class SchedulerSection(Section):
 
 
 # One of them is a keyword of Python, hence no class statement.
-RlimitsSection: type[Section] = type(
+RlimitsSection: type[ConfigSection] = type(
     "RlimitsSection",
-    (Section,),
+    (ConfigSection,),
     {
         name: optional(kinds.resource_limit(name, *form), meaning, example)
         for name, form, meaning, example in (
@@ -199,7 +199,7 @@ RlimitsSection: type[Section] = type(
 """`resources.rlimits`: limits of setrlimit(2), by their names in lower case."""
 
 
-class LimitsSection(Section):
+class LimitsSection(ConfigSection):
     """Limits of a control group, wherever they stand."""
 
     cpu_max = optional(
@@ -277,7 +277,7 @@ class ResourcesSection(LimitsSection):
     )
 
 
-class CgroupsSection(Section):
+class CgroupsSection(ConfigSection):
     """`composable_node_loading.cgroups`: whether there are control groups, and where."""
 
     enabled = optional(

@@ -15,7 +15,7 @@ from play_launch.config import schema, sections
 from play_launch.config.load import parse_config
 from play_launch.config.problems import ConfigError
 from play_launch.config.schema_export import json_schema
-from play_launch.config.section import Section
+from play_launch.config.section import ConfigSection
 from tests.config.schema_check import problems
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,8 +24,8 @@ SECTIONS = {
     name: found
     for name, found in {**vars(schema), **vars(sections)}.items()
     if isinstance(found, type)
-    and issubclass(found, Section)
-    and found is not Section
+    and issubclass(found, ConfigSection)
+    and found is not ConfigSection
     and not found.__subclasses__()
 }
 """Those that stand somewhere, not what they are made of."""

@@ -25,7 +25,7 @@ from play_launch.config.model import (
     StopLimits,
 )
 from play_launch.config.problems import ConfigError
-from play_launch.config.section import Section
+from play_launch.config.section import ConfigSection
 from play_launch.config.sections import DependencySection
 from play_launch.config.values import (
     parse_duration,
@@ -51,7 +51,7 @@ SURROUNDINGS = {
     "process": ("version: 1\nnodes:\n- command: [x]\n", "  "),
     "nodes": ("version: 1\nnodes:\n", ""),
 }
-SECTIONS: dict[str, type[Section]] = {
+SECTIONS: dict[str, type[ConfigSection]] = {
     "Top level": schema.DocumentSection,
     "stop": sections.StopSection,
     "composable_node_loading": schema.LoadingSection,
@@ -149,7 +149,7 @@ def test_every_choice_is_explained(title: str, key: str, choices: type[StrEnum])
         ("record", "key of `before_crash`", sections.BeforeCrashSection),
     ],
 )
-def test_every_key_of_a_table_is_listed(title: str, head: str, owner: type[Section]) -> None:
+def test_every_key_of_a_table_is_listed(title: str, head: str, owner: type[ConfigSection]) -> None:
     table = section(title).partition(f"| {head} |")[2].partition("\n\n")[0]
     listed = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
     assert sorted(listed) == sorted(owner.keys)

@@ -89,8 +89,8 @@ class TopApp(App[ScreenEnd]):
         self.hello = client.hello
         self._client = client
         self._link: SessionLink | None = None
-        self.rows: list[model.Row] | None = None  # until the session has answered
-        self.shown: list[model.Row] = []
+        self.rows: list[model.TopRow] | None = None  # until the session has answered
+        self.shown: list[model.TopRow] = []
         self._selected: model.RowId | None = None
         self.order = model.Order.DECLARED
         self.is_reversed = False
@@ -143,7 +143,7 @@ class TopApp(App[ScreenEnd]):
 
     # Messages of the session.
 
-    def on_rows(self, rows: Sequence[model.Row]) -> None:
+    def on_rows(self, rows: Sequence[model.TopRow]) -> None:
         """Show the rows of an answer to ``ps``."""
         self.rows = list(rows)
         self._last.declare(rows)
@@ -269,7 +269,7 @@ class TopApp(App[ScreenEnd]):
     # State.
 
     @property
-    def selected(self) -> model.Row | None:
+    def selected(self) -> model.TopRow | None:
         """The selected row."""
         return self.shown[self._index()] if self.shown else None
 

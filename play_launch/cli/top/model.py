@@ -53,7 +53,7 @@ class RowId(NamedTuple):
         return f"{self.container}:{self.name}" if self.container else self.name
 
 
-class Row(Struct, frozen=True):
+class TopRow(Struct, frozen=True):
     """The shown fields of one object of ``ps`` (docs/control.md)."""
 
     name: str
@@ -74,9 +74,9 @@ class Row(Struct, frozen=True):
         return RowId(self.container, self.name)
 
 
-def rows_of(result: Any) -> list[Row]:
+def rows_of(result: Any) -> list[TopRow]:
     """Parse the answer to ``ps``; raises ValueError."""
-    return msgspec.convert(result, list[Row], strict=False)
+    return msgspec.convert(result, list[TopRow], strict=False)
 
 
 class Health(Enum):
@@ -98,7 +98,7 @@ _HEALTH: Final = {
 }
 
 
-def health(row: Row) -> Health:
+def health(row: TopRow) -> Health:
     """Classify a row; an unknown state counts as changing."""
     if row.state == "exited" and (row.exit_code or row.signal):
         return Health.FAILED
@@ -123,7 +123,7 @@ def following(choice: _Choice) -> _Choice:
     return members[(members.index(choice) + 1) % len(members)]
 
 
-_KEYS: Final[dict[Order, Callable[[Row], Any]]] = {
+_KEYS: Final[dict[Order, Callable[[TopRow], Any]]] = {
     Order.NAME: lambda row: row.name,
     Order.STATE: lambda row: (list(Health).index(health(row)), row.state),
     Order.CPU: lambda row: None if row.cpu_percent is None else -row.cpu_percent,
@@ -134,7 +134,7 @@ _KEYS: Final[dict[Order, Callable[[Row], Any]]] = {
 """First: the worst state, the most memory, the latest start."""
 
 
-def ordered(rows: Sequence[Row], order: Order, *, is_reversed: bool = False) -> list[Row]:
+def ordered(rows: Sequence[TopRow], order: Order, *, is_reversed: bool = False) -> list[TopRow]:
     """Sort rows; equal ones stay as declared, unknown values come last in either direction."""
     if order is Order.DECLARED:
         return list(reversed(rows)) if is_reversed else list(rows)
@@ -144,7 +144,7 @@ def ordered(rows: Sequence[Row], order: Order, *, is_reversed: bool = False) -> 
     return [*sorted(known, key=key, reverse=is_reversed), *unknown]
 
 
-def matching(rows: Iterable[Row], pattern: str) -> list[Row]:
+def matching(rows: Iterable[TopRow], pattern: str) -> list[TopRow]:
     """Choose rows by name.
 
     Args:
@@ -154,7 +154,7 @@ def matching(rows: Iterable[Row], pattern: str) -> list[Row]:
     """
     wanted = pattern.strip().lower()
     is_pattern = any(character in wanted for character in "*?[")
-    found: list[Row] = []
+    found: list[TopRow] = []
     for row in rows:
         name = (row.subject.target if ":" in wanted else row.name).lower()
         if not wanted or (fnmatchcase(name, wanted) if is_pattern else wanted in name):
@@ -162,7 +162,7 @@ def matching(rows: Iterable[Row], pattern: str) -> list[Row]:
     return found
 
 
-def counted(rows: Sequence[Row]) -> str:
+def counted(rows: Sequence[TopRow]) -> str:
     """Summarise the system: ``7 of 9 up, 1 failed, 1 inactive``."""
     states = [health(row) for row in rows]
     words = {Health.FAILED: "failed", Health.CHANGING: "changing", Health.INACTIVE: "inactive"}
@@ -177,7 +177,7 @@ WIDTHS: Final = {"STATE": 12, "PID": 7, "UP": 7, "RST": 5, "CPU%": 6, "MEM": 6}
 _NAME_LEAST: Final = 16
 
 
-def name_of(row: Row, *, is_tree: bool) -> str:
+def name_of(row: TopRow, *, is_tree: bool) -> str:
     """Return the clean name; in the tree, nodes are indented below their container."""
     return f"{'  ' if is_tree and row.container else ''}{clean(row.name)}"
 
@@ -189,7 +189,7 @@ def name_width(names: Iterable[str], width: int) -> int:
     return max(min(longest, int(left * 0.6)), _NAME_LEAST)
 
 
-def cells_of(row: Row, name: str, width: int, last_line: str) -> list[Text]:
+def cells_of(row: TopRow, name: str, width: int, last_line: str) -> list[Text]:
     """Make the cells of a row; a name too long for its width loses its beginning."""
     if cell_len(name) >= width:
         name = f"…{set_cell_size(name[::-1], width - 2)[::-1]}"
@@ -242,12 +242,12 @@ class Confirmation(Struct, frozen=True):
     question: str
 
 
-def suits(operation: str, row: Row) -> bool:
+def suits(operation: str, row: TopRow) -> bool:
     """Whether an operation is one of this kind of row."""
     return (operation in _FOR_NODES) == (row.kind == COMPONENT)
 
 
-def confirmation(operation: str, row: Row, rows: Iterable[Row]) -> Confirmation:
+def confirmation(operation: str, row: TopRow, rows: Iterable[TopRow]) -> Confirmation:
     """Make the question about an operation, with the nodes that it affects besides."""
     loaded = sum(row.name == each.container and each.state == "loaded" for each in rows)
     impact = ""
@@ -338,7 +338,7 @@ class RowLines:
         self._owners: dict[tuple[str, str], RowId] = {}
         self.last: dict[RowId, str] = {}
 
-    def declare(self, rows: Iterable[Row]) -> None:
+    def declare(self, rows: Iterable[TopRow]) -> None:
         """Set the rows; lines of other ones are forgotten."""
         subjects = {row.subject for row in rows}
         self._owners = {

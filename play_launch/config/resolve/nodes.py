@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from play_launch.config.resolve.order import StartRules
     from play_launch.config.resolve.parameter_files import ParameterFileReader
     from play_launch.config.resolve.policy import GroupRules, Policy
-    from play_launch.config.section import Section
+    from play_launch.config.section import ConfigSection
     from play_launch.config.tree import Cursor, Node
 
 _COMMAND_OR_PACKAGE: Final = "give either command, or package and executable"
@@ -142,7 +142,7 @@ class SharedContext(Struct, frozen=True):
     groups: GroupRules
 
 
-def _own(section: Section, config: type[Struct], at: Cursor) -> dict[str, Any]:
+def _own(section: ConfigSection, config: type[Struct], at: Cursor) -> dict[str, Any]:
     """Return the given keys that the model has, too, and the location."""
     given: dict[str, Any] = {"file": at.node.location.file, "line": at.node.location.line}
     for key, value in section.given.items():

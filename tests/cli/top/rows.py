@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from play_launch.cli.top.model import Row
+from play_launch.cli.top.model import TopRow
 from play_launch.supervisor.events import ContainerState, NodeState
 
 STATES = sorted(
@@ -12,9 +12,9 @@ STATES = sorted(
 )
 
 
-def row(name: str, state: str = "running", kind: str = "container", **fields: Any) -> Row:
-    return Row(name=name, kind=kind, state=state, **fields)
+def row(name: str, state: str = "running", kind: str = "container", **fields: Any) -> TopRow:
+    return TopRow(name=name, kind=kind, state=state, **fields)
 
 
-def node(name: str, container: str, state: str = "loaded", **fields: Any) -> Row:
+def node(name: str, container: str, state: str = "loaded", **fields: Any) -> TopRow:
     return row(name, state, "component", container=container, **fields)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from play_launch.cli.top.model import (
     Health,
     Order,
-    Row,
     RowId,
+    TopRow,
     counted,
     health,
     matching,
@@ -44,7 +44,7 @@ def test_what_is_no_list_of_rows_is_an_error(answer: object) -> None:
         (row("/a", "of a later version"), Health.CHANGING),
     ],
 )
-def test_a_state_is_judged(what: Row, expected: Health) -> None:
+def test_a_state_is_judged(what: TopRow, expected: Health) -> None:
     assert health(what) is expected
 
 
