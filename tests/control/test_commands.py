@@ -444,8 +444,7 @@ def test_nodes_are_waited_for_and_parameters_offered(config: Path, tmp_path: Pat
         assert json.loads(ask("wait", "--for", "ready", "--json"))["reached"] is True
         overdue = ask("wait", "--for", "ready", "sleeper", "--timeout", "2", code=4)
         assert "not ready: /sleeper" in overdue
-        # A session that does not answer in a fraction of a second, as on a busy machine, is left
-        # out.
+        # A session that does not answer at once, as on a busy machine, is left out.
         until(lambda: offered("param get talker ") >= {"rate", "text"}, "the node's answer")
         until(lambda: offered("param set /talker ra") == {"rate"}, "the same of a part")
         assert offered("param get /sleeper ") == set()
