@@ -1,7 +1,7 @@
-"""Launch files beside what ROS's launch 3.4.3 has made of them: `record.json` in each folder.
+"""What ROS's launch 3.4.3 has made of launch files, and what that becomes: a folder for each.
 
-`python -m tests.launch_files.recorded NAME...` records them again, where launch is installed, and
-writes the configurations that they become.
+Those without a launch file in the folder are of ros2/demos and Nav2 (branch `jazzy`).
+`python -m tests.launch_files.recorded NAME...` writes the others again, where launch is installed.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from play_launch.launch_files.ros_launch.evaluate import evaluate
 
 FOLDER: Final = Path(__file__).parent / "records"
 NAMES: Final = tuple(sorted(path.parent.name for path in FOLDER.glob("*/record.json")))
+OWN: Final = tuple(name for name in NAMES if (FOLDER / name / "robot.launch.xml").exists())
 ROBOT: Final = FOLDER / "robot/robot.launch.xml"
 NODES: Final = {"/robot/talker": "loaded", "/listener": "loaded"}
 """The composable nodes of that one."""

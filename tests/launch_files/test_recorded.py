@@ -26,7 +26,7 @@ def test_a_record_becomes_this_configuration(name: str) -> None:
 
 
 @needs_launch
-@pytest.mark.parametrize("name", recorded.NAMES)
+@pytest.mark.parametrize("name", recorded.OWN)
 def test_launch_gives_what_was_recorded(name: str) -> None:
     assert recorded.record(name) == (recorded.FOLDER / name / "record.json").read_bytes()
 
