@@ -17,7 +17,7 @@ from play_launch.supervisor.view import absent
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.config.model import ContainerConfig, ProcessConfig, ReplayConfig
+    from play_launch.config.model import ReplayConfig
     from play_launch.ros.parameters import ParameterSetter
     from play_launch.runtime.system import System
     from play_launch.supervisor.plan import Plan, Step
@@ -122,8 +122,12 @@ class Applying:
     async def _carry_out(
         self, found: Plan, target: ReplayConfig, limit: float
     ) -> tuple[StepOutcome, ...]:
-        problem = await self._prepare(target) if found.to_do else ""
-        self._outcomes = []
+        problem, self._outcomes = "", []
+        try:
+            if found.to_do:
+                await self._system.launcher.prepare(target)
+        except StartError as error:
+            problem = str(error)
         if not problem:
             self._target = target
             self._ended.clear()
@@ -140,13 +144,6 @@ class Applying:
         held = (each.step for each in outcomes if each.holds)
         self._system.config = after(self.config, target, held)
         return tuple(outcomes)
-
-    async def _prepare(self, target: ReplayConfig) -> str:
-        try:
-            await self._system.launcher.prepare(target)
-        except StartError as error:
-            return str(error)
-        return ""
 
     # Effects.
 
@@ -170,18 +167,16 @@ class Applying:
         }
         config = declared(self._target, step)
         chosen = [each for each in config.parameters if each.name in names]  # type: ignore[union-attr]
-        node = NodeKey.parsed(step.name).name if step.kind is Kind.COMPONENT else step.name
+        member = node = step.name
+        if step.kind is Kind.COMPONENT:
+            key = NodeKey.parsed(step.name)
+            member, node = key.container, key.name
+        containers, processes = self._target.containers, self._target.nodes
+        environments = {each.full_name: each.environment for each in containers}
+        environments |= {each.full_name: each.environment for each in processes}
         try:
-            refusal = await self._parameters.set(node, chosen, self._environment(step))
+            refusal = await self._parameters.set(node, chosen, dict(environments[member]))
         except Exception as error:  # noqa: BLE001 - the node is replaced instead
             _log.exception("the parameters of %s could not be set", step.name)
             refusal = f"{type(error).__name__}: {error}"
         self._system.post(ParametersSet(step, refusal))
-
-    def _environment(self, step: Step) -> dict[str, str]:
-        name = NodeKey.parsed(step.name).container if step.kind is Kind.COMPONENT else step.name
-        members: tuple[ContainerConfig | ProcessConfig, ...] = (
-            *self._target.containers,
-            *self._target.nodes,
-        )
-        return dict(next(each.environment for each in members if each.full_name == name))

@@ -87,18 +87,10 @@ def shares_memory(container: ContainerConfig) -> bool:
     return container.container_type.is_isolated and container.isolation is not Isolation.PROCESS
 
 
-def has_stock_containers(config: ReplayConfig) -> bool:
-    """Whether the supervisor needs ROS itself."""
-    return any(each.container_type is ContainerType.STOCK for each in config.containers)
-
-
 def uses_fastdds(config: ReplayConfig, environment: Mapping[str, str]) -> bool:
     """Whether any process asks for Fast DDS; ``environment`` is what they inherit."""
-    declared = (
-        *(each.environment for each in config.containers),
-        *(each.environment for each in config.nodes),
-    )
-    return any(asks_for_fastdds({**environment, **each}) for each in declared)
+    members: tuple[Config, ...] = (*config.containers, *config.nodes)
+    return any(asks_for_fastdds({**environment, **each.environment}) for each in members)
 
 
 def participants(config: ReplayConfig) -> int:
@@ -106,13 +98,9 @@ def participants(config: ReplayConfig) -> int:
 
     A node with memory of its own is one of its own; the others share their container's.
     """
-    processes = len(config.containers) + len(config.nodes)
-    apart = (
-        each
-        for each in config.containers
-        if each.container_type.is_isolated and not shares_memory(each)
-    )
-    return processes + sum(len(each.composable_nodes) for each in apart)
+    isolated = [each for each in config.containers if each.container_type.is_isolated]
+    apart = sum(len(each.composable_nodes) for each in isolated if not shares_memory(each))
+    return len(config.containers) + len(config.nodes) + apart
 
 
 _CONTAINER_SHARE: Final = 0.6

@@ -47,7 +47,6 @@ from play_launch.runtime.commands import (
     allocator_for,
     container_command,
     container_environment,
-    has_stock_containers,
     participants,
     probe_command,
     process_command,
@@ -66,7 +65,6 @@ if TYPE_CHECKING:
         ReplayConfig,
     )
     from play_launch.container.messages import Incoming, Outgoing
-    from play_launch.process.cgroups.group import Group
     from play_launch.process.child import Child
     from play_launch.process.exit import Exit
     from play_launch.process.lines import OutputCallback
@@ -168,7 +166,7 @@ class NativeLauncher:
         self._sweeps = Shared(self._sweep)
         self.groups = Groups(publish)
         self._hello = Hello(
-            version=_version(),
+            version=package_version(OURSELVES) or "unknown",
             pid=os.getpid(),
             start_time=read_stat(os.getpid()).start_time,
         )
@@ -189,8 +187,10 @@ class NativeLauncher:
         ros = ros_installation()
         container, guard = component_container(), spawn_guard()
         is_fastdds = uses_fastdds(config, os.environ)
-        if is_fastdds:
-            _complain_of_shared_memory(config)
+        if is_fastdds and (
+            problem := shared_memory_problem(shared_memory_room(), participants(config))
+        ):
+            _log.warning("%s", problem)
         launcher = cls(
             machine=Machine(ros, container, os.environ, _allocator(config)),
             guard=guard,
@@ -213,14 +213,11 @@ class NativeLauncher:
             self._machine = replace(self._machine, allocator=allocator)
         try:
             await asyncio.to_thread(self.groups.prepare, config)
-        except GroupError as error:
-            raise StartError(str(error), permanent=True) from error
-        try:
             if self._stock is None:
                 self._stock = await asyncio.to_thread(_stock_containers, config)
             else:
                 await asyncio.to_thread(self._stock.extend, config)
-        except NotInstalledError as error:
+        except (GroupError, NotInstalledError) as error:
             raise StartError(str(error), permanent=True) from error
         self._policy = _policy(config)
 
@@ -240,10 +237,9 @@ class NativeLauncher:
             command = container_command(config, self._machine, file, ask=self._policy.ask)
         except ExecutableNotFoundError as error:
             raise StartError(str(error), permanent=True) from error
-        group, entry = self.groups.of(config)
         if config.container_type is ContainerType.STOCK:
             assert self._stock is not None
-            process = await self._spawn(command, on_output, group, entry, name=config.full_name)
+            process = await self._spawn(command, on_output, config)
             try:
                 return process, self._stock.talk_to(config, process)
             except Exception:
@@ -256,9 +252,7 @@ class NativeLauncher:
         with ExitStack() as opened:
             opened.callback(pair.close)
             command = command.with_variables({CONTROL_FD_VARIABLE: str(INHERITED)})
-            process = await self._spawn(
-                command, on_output, group, entry, name=config.full_name, control_fd=pair.child_fd
-            )
+            process = await self._spawn(command, on_output, config, control_fd=pair.child_fd)
             pair.close_child_end()
             opened.pop_all()
         return process, ControlChannel(pair.ours, container=config.full_name)
@@ -283,7 +277,7 @@ class NativeLauncher:
             command = process_command(config, self._machine, self._parameters.of(config))
         except (ExecutableNotFoundError, ValueError) as error:
             raise StartError(str(error), permanent=True) from error
-        return await self._spawn(command, on_output, *self.groups.of(config), name=config.full_name)
+        return await self._spawn(command, on_output, config)
 
     async def clean_up(self) -> None:
         """Remove the shared memory that killed processes left behind, where Fast DDS is in use."""
@@ -316,12 +310,11 @@ class NativeLauncher:
         self,
         command: Command,
         on_output: OutputCallback,
-        group: Group | None = None,
-        entry: tuple[str, ...] = (),
+        config: ContainerConfig | ProcessConfig | None = None,
         *,
-        name: str = "",
         control_fd: int | None = None,
     ) -> NativeProcess:
+        group, entry = (None, ()) if config is None else self.groups.of(config)
         try:
             # One that is lost is kept: what it has started would end with it.
             if not (self._guards and self._guards[-1].is_alive):
@@ -340,7 +333,7 @@ class NativeLauncher:
                 leaves_by_itself=control_fd is not None,
                 settings=(*entry, *command.resources.settings()),
                 group=group,
-                mark=name and mark_for(os.getpid(), name),
+                mark="" if config is None else mark_for(os.getpid(), config.full_name),
             )
         except SpawnError as error:
             raise StartError(str(error), permanent=error.errno not in _PASSING) from error
@@ -355,7 +348,7 @@ def _policy(config: ReplayConfig) -> StopPolicy:
 
 
 def _stock_containers(config: ReplayConfig) -> StockContainers | None:
-    if not has_stock_containers(config):
+    if all(each.container_type is not ContainerType.STOCK for each in config.containers):
         return None
     if problem := full_shared_memory(shared_memory_room()):
         # It may have filled up since the start. Loading rcl is what maps it, and SIGBUS would end
@@ -367,18 +360,9 @@ def _stock_containers(config: ReplayConfig) -> StockContainers | None:
     return StockContainers.of(config)
 
 
-def _complain_of_shared_memory(config: ReplayConfig) -> None:
-    if problem := shared_memory_problem(shared_memory_room(), participants(config)):
-        _log.warning("%s", problem)
-
-
 def _allocator(config: ReplayConfig) -> Path | None:
     """Find what isolated containers allocate with; complain once for the whole system."""
     found = allocator_for(config)
     if found.problem:
         _log.warning("%s", found.problem)
     return found.library
-
-
-def _version() -> str:
-    return package_version(OURSELVES) or "unknown"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections import defaultdict, deque
 from typing import TYPE_CHECKING, Final
 
@@ -24,8 +23,7 @@ if TYPE_CHECKING:
     from play_launch.config.model import ComposableNodeConfig, ContainerConfig
     from play_launch.config.node_key import NodeKey
     from play_launch.process.lines import Line
-    from play_launch.runtime.launcher import ManagedProcess, NativeLauncher
-    from play_launch.runtime.publisher import Publisher
+    from play_launch.runtime.launcher import ManagedProcess
     from play_launch.runtime.system import System
 
 _log = logging.getLogger(__name__)
@@ -64,7 +62,7 @@ async def _probe_library(
     """Probe the nodes of one library, in most cases by the first of them."""
     while group:
         first = group[0]
-        finding = await system.probes.probe(container, first)
+        finding = await probe_library(system, container, first)
         is_about_all = finding is None or finding.is_about_library
         settled = [node for node in group if is_about_all or node.plugin == first.plugin]
         group = [node for node in group if node not in settled]
@@ -74,51 +72,38 @@ async def _probe_library(
                 system.post(Probed(node.key, finding))
 
 
-class LibraryProbes:
-    """Runs scratch processes, a bounded number at a time; one for all containers of a session."""
+async def probe_library(
+    system: System, container: ContainerConfig, node: ComposableNodeConfig
+) -> ProbeResult | None:
+    """Load the library of a node, if a slot is free; None when that could not be tried.
 
-    def __init__(
-        self, launcher: NativeLauncher, publisher: Publisher, *, limit: int | None = None
-    ) -> None:
-        """``limit`` is one for each CPU by default: loading is CPU time and reading."""
-        self._launcher = launcher
-        self._publisher = publisher
-        self._slots = anyio.Semaphore(limit or max(2, os.cpu_count() or 1))
+    When this is cancelled, the scratch process is killed first.
+    """
+    name, limit = node.declared_full_name, container.probe_timeout
+    stdout: deque[str] = deque(maxlen=_LAST_LINES)
 
-    async def probe(
-        self, container: ContainerConfig, node: ComposableNodeConfig
-    ) -> ProbeResult | None:
-        """Load the library of a node; None when that could not be tried.
+    def on_output(stream: Stream, lines: Sequence[Line]) -> None:
+        if stream is Stream.STDOUT:
+            stdout.extend(line.text for line in lines)
+        else:
+            system.publisher.publish_output(container.full_name, process.pid, stream, lines)
 
-        When this is cancelled, the scratch process is killed first.
-        """
-        name, limit = node.declared_full_name, container.probe_timeout
-        stdout: deque[str] = deque(maxlen=_LAST_LINES)
-
-        def on_output(stream: Stream, lines: Sequence[Line]) -> None:
-            if stream is Stream.STDOUT:
-                stdout.extend(line.text for line in lines)
-            else:
-                owner = container.full_name
-                self._publisher.publish_output(owner, process.pid, stream, lines)
-
-        async with self._slots:
-            try:
-                process = await self._launcher.start_probe(container, node, on_output)
-            except StartError as error:
-                _log.warning("%s: its library is not probed: %s", name, error)
-                return None
-            try:
-                with anyio.move_on_after(limit) as scope:
-                    await _wait(process, name, limit)
-            finally:
-                process.kill()
-                await _gone(process)
-        if scope.cancelled_caught:
-            late = f"its library was still being loaded after {limit:g} s"
-            return ProbeResult(loads=False, error=late)
-        exit_ = await process.wait()
-        return read_probe(stdout, exit_code=exit_.code, signal=exit_.signal)
+    async with system.probe_slots:
+        try:
+            process = await system.launcher.start_probe(container, node, on_output)
+        except StartError as error:
+            _log.warning("%s: its library is not probed: %s", name, error)
+            return None
+        try:
+            with anyio.move_on_after(limit) as scope:
+                await _wait(process, name, limit)
+        finally:
+            process.kill()
+            await _gone(process)
+    if scope.cancelled_caught:
+        return ProbeResult(error=f"its library was still being loaded after {limit:g} s")
+    exit_ = await process.wait()
+    return read_probe(stdout, exit_code=exit_.code, signal=exit_.signal)
 
 
 async def _wait(process: ManagedProcess, name: str, limit: float) -> None:

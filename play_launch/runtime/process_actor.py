@@ -215,7 +215,8 @@ class ProcessActor:
             await self._drained()
             self._let_go()
             self._note_exit(exit_)
-            self._system.post(Exited(self.name, start, _exit_of(exit_)))
+            exited = Exit(str(exit_), exit_.code, exit_.signal, exit_.is_lost)
+            self._system.post(Exited(self.name, start, exited))
         except Exception as error:  # noqa: BLE001 - the others go on
             self._system.fail(self.name, error)
         except BaseException:
@@ -267,7 +268,3 @@ class ProcessActor:
             process.kill()
         finally:
             stopped.set()
-
-
-def _exit_of(exit_: ProcessExit) -> Exit:
-    return Exit(str(exit_), exit_.code, exit_.signal, exit_.is_lost)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from play_launch.runtime.signals import StopRequests
     from play_launch.supervisor.view import SystemView
     from play_launch.supervisor.world import Limits
+
+_STARTS: Final = max(16, 4 * (os.cpu_count() or 1))
+"""Containers that start at the same time: enough for all of most systems, see
+docs/decisions/start.md. Hundreds would outlast the limits that each has for its start."""
 
 
 class Outcome(Struct, frozen=True, kw_only=True):
@@ -64,7 +68,7 @@ async def run_system(
         launcher: Starts the processes; None for the real one.
         parameters: Sets parameters of nodes; None for the real one.
         limits: Time limits.
-        starts: How many containers start at the same time; None for `default_starts`.
+        starts: How many containers start at the same time; None for the default.
         ros: Access to the graph and to managed nodes; None for the real one.
         on_begin: Gets the system, to operate it while it runs.
         decisions: Gets what is decided upon.
@@ -81,7 +85,7 @@ async def run_system(
             launcher=launcher,
             parameters=parameters,
             limits=limits,
-            starts=starts or default_starts(),
+            starts=starts or _STARTS,
             ros=ros,
             decisions=decisions,
         )
@@ -107,12 +111,3 @@ async def run_system(
     finally:
         await launcher.clean_up()
         await launcher.close()
-
-
-def default_starts() -> int:
-    """How many containers start up at the same time.
-
-    Enough for all of most systems: see docs/decisions/start.md. Hundreds would outlast the limits
-    that each has for its start.
-    """
-    return max(16, 4 * (os.cpu_count() or 1))

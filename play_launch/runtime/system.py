@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import os
 import random
 from collections import deque
 from functools import partial
@@ -15,7 +16,6 @@ import anyio
 from play_launch.container.messages import Cancel, Unload
 from play_launch.runtime.container_actor import ContainerActor
 from play_launch.runtime.outside import Conversations, Outside
-from play_launch.runtime.probes import LibraryProbes
 from play_launch.runtime.process_actor import ProcessActor, Tasks
 from play_launch.runtime.publisher import EventLog
 from play_launch.runtime.watch import WATCH_LIMITS
@@ -94,7 +94,8 @@ class System:
         self._pending_at_end: tuple[str, ...] | None = None
         self.time = self._loop.time
         self.watch_limits = WATCH_LIMITS
-        self.probes = LibraryProbes(launcher, publisher)
+        self.probe_slots = anyio.Semaphore(max(2, os.cpu_count() or 1))
+        """For scratch processes: loading a library is CPU time and reading."""
         publisher.add_sink(self._outside)
         publisher.add_sink(EventLog())
         self._outside.expect(config.start_rules.values())
@@ -120,7 +121,8 @@ class System:
         return due is not None and due <= self._loop.time() and is_open
 
     def _process(self, said: Input) -> None:
-        before, now, jitter = Snapshot.of(self.world), self._loop.time(), _chance()
+        before, now = Snapshot.of(self.world), self._loop.time()
+        jitter = random.getrandbits(16) / (1 << 16)  # 16 bits: each is recorded
         if self._decisions is not None:
             self._decisions.add(now, said, jitter)
         effects = reduce(self.world, said, now, jitter)
@@ -272,8 +274,7 @@ class System:
     @property
     def processes(self) -> tuple[str, ...]:
         """Full names of the ordinary executables, as declared."""
-        found = self.world.processes.values()
-        return tuple(each.name for each in found if each.container is None)
+        return tuple(name for name, each in self.world.processes.items() if each.container is None)
 
     @property
     def applying(self) -> Applying:
@@ -413,8 +414,3 @@ def _failure_reason(error: Exception) -> str:
         error = error.exceptions[0]
     text = " ".join(f"{type(error).__name__}: {error}".split())
     return f"internal error (its call stack is in the recording): {text}"
-
-
-def _chance() -> float:
-    """Give a random number in [0, 1) for delays, of 16 bits: each is recorded."""
-    return random.getrandbits(16) / (1 << 16)

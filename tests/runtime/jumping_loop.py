@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from collections.abc import Coroutine, Mapping
 
 _T = TypeVar("_T")
+_LAST_TURNS = 30
+"""In which what was cancelled last comes to its end."""
 
 
 class _JumpingSelector(selectors.BaseSelector):
@@ -60,6 +62,8 @@ def run(main: Coroutine[Any, Any, _T]) -> _T:
 
     async def checked() -> _T:
         result = await main
+        for _ in range(_LAST_TURNS):
+            await asyncio.sleep(0)
         left = asyncio.all_tasks() - {asyncio.current_task()}
         assert not left, f"tasks are left: {left}"
         return result

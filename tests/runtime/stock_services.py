@@ -9,28 +9,14 @@ from play_launch.container.messages import Hello, Incoming, Load, Query, Status
 from play_launch.ros.composition import CompositionClient, LoadReply, UnloadReply
 from play_launch.runtime.stock_link import StockLink
 
-from . import jumping_loop
-
 if TYPE_CHECKING:
-    from collections.abc import Coroutine
+    pass
 
 
 async def settle() -> None:
     """Let everything happen that is due now."""
     for _ in range(30):
         await asyncio.sleep(0)
-
-
-def run(main: Coroutine[Any, Any, None]) -> None:
-    """Run to the end, and let what was cancelled last come to its end, too."""
-
-    async def settled() -> None:
-        # Of the clock that jumps: a dialogue looks at its container for ever.
-        async with asyncio.timeout(10_000):
-            await main
-        await settle()
-
-    jumping_loop.run(settled())
 
 
 class Services(CompositionClient):

@@ -19,7 +19,6 @@ from play_launch.supervisor.events import (
 from play_launch.supervisor.outcome import Cause, Sequel
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, node, system
-from .jumping_loop import run
 from .running import Running, running
 
 if TYPE_CHECKING:
@@ -59,27 +58,23 @@ class AlwaysCrashes(FakeContainer):
             self.crash_node("a")
 
 
-def test_the_first_reload_is_at_once_and_the_neighbours_notice_nothing() -> None:
-    async def main() -> Running:
-        async with running(system(container("c", "a", "b")), launcher()) as sys:
-            await sys.until_loaded(2)
-            frames = (
-                "#0 libc.so.6+0x8aeec",
-                "#1 abort+0xd3 (libc.so.6+0x2)",
-                "#2 burn()",
-                "#3 main",
-            )
-            await crash(sys, "a", error="at 0x0", backtrace=frames)
-            crashed = asyncio.get_running_loop().time()
-            await sys.until_loaded(2)
-            assert asyncio.get_running_loop().time() == crashed
-            assert len(sys.launcher.containers["/c"]) == 1
-            view = sys.view.containers["/c"].nodes[NodeKey("/c", "/a")]
-            assert (view.crashes, view.reloads) == (1, 1)
-            assert [each.node for each in sys.view.crashed] == ["/a"]
-        return sys
-
-    sys = run(main())
+async def test_the_first_reload_is_at_once_and_the_neighbours_notice_nothing() -> None:
+    async with running(system(container("c", "a", "b")), launcher()) as sys:
+        await sys.until_loaded(2)
+        frames = (
+            "#0 libc.so.6+0x8aeec",
+            "#1 abort+0xd3 (libc.so.6+0x2)",
+            "#2 burn()",
+            "#3 main",
+        )
+        await crash(sys, "a", error="at 0x0", backtrace=frames)
+        crashed = asyncio.get_running_loop().time()
+        await sys.until_loaded(2)
+        assert asyncio.get_running_loop().time() == crashed
+        assert len(sys.launcher.containers["/c"]) == 1
+        view = sys.view.containers["/c"].nodes[NodeKey("/c", "/a")]
+        assert (view.crashes, view.reloads) == (1, 1)
+        assert [each.node for each in sys.view.crashed] == ["/a"]
     assert sys.node_states("/b").count(NodeState.LOADED) == 1
     (told,) = sys.node_events("/a", NodeState.CRASHED)
     assert told.reason == (
@@ -91,17 +86,13 @@ def test_the_first_reload_is_at_once_and_the_neighbours_notice_nothing() -> None
     assert sys.outcome.exit_code == 0
 
 
-def test_it_is_loaded_again_within_its_own_bounds_and_then_given_up(
+async def test_it_is_loaded_again_within_its_own_bounds_and_then_given_up(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    async def main() -> Running:
-        limits = RestartLimits(max_restarts=4, initial=0.1, maximum=0.2)
-        config = system(container("c", node("a", restart=limits), "b", max_restarts=0))
-        async with running(config, launcher(AlwaysCrashes)) as sys:
-            await sys.until(lambda: bool(sys.node_events("/a", NodeState.GAVE_UP)))
-        return sys
-
-    sys = run(main())
+    limits = RestartLimits(max_restarts=4, initial=0.1, maximum=0.2)
+    config = system(container("c", node("a", restart=limits), "b", max_restarts=0))
+    async with running(config, launcher(AlwaysCrashes)) as sys:
+        await sys.until(lambda: bool(sys.node_events("/a", NodeState.GAVE_UP)))
     assert len(loads(the_container(sys))) == 5
     assert crashes(sys, "/a") == 5
     told = sys.node_events("/a", NodeState.CRASHED)
@@ -121,38 +112,32 @@ def test_it_is_loaded_again_within_its_own_bounds_and_then_given_up(
     assert sys.outcome.exit_code == 1
 
 
-def test_a_healthy_life_starts_the_pauses_and_the_count_anew() -> None:
-    async def main() -> None:
-        config = system(container("c", node("a", restart=RestartLimits(max_restarts=1))))
-        async with running(config, launcher()) as sys:
-            for _ in range(3):
-                await sys.until_loaded(1)
-                await asyncio.sleep(61)
-                await crash(sys, "a")
-                assert sys.node_states("/a")[-1] is not NodeState.GAVE_UP
-            reasons = [event.reason for event in sys.node_events("/a", NodeState.CRASHED)]
-            assert all("at once" in reason for reason in reasons)
-
-    run(main())
-
-
-def test_nodes_count_for_themselves() -> None:
-    async def main() -> None:
-        config = system(container("c", node("a", restart=RestartLimits(max_restarts=1)), "b"))
-        async with running(config, launcher()) as sys:
-            await sys.until_loaded(2)
-            await crash(sys, "a")
-            await sys.until_loaded(2)
-            await crash(sys, "b")
-            assert "at once" in sys.node_events("/b", NodeState.CRASHED)[0].reason
-            await crash(sys, "a")
-            assert sys.node_states("/a")[-1] is NodeState.GAVE_UP
+async def test_a_healthy_life_starts_the_pauses_and_the_count_anew() -> None:
+    config = system(container("c", node("a", restart=RestartLimits(max_restarts=1))))
+    async with running(config, launcher()) as sys:
+        for _ in range(3):
             await sys.until_loaded(1)
+            await asyncio.sleep(61)
+            await crash(sys, "a")
+            assert sys.node_states("/a")[-1] is not NodeState.GAVE_UP
+        reasons = [event.reason for event in sys.node_events("/a", NodeState.CRASHED)]
+        assert all("at once" in reason for reason in reasons)
 
-    run(main())
+
+async def test_nodes_count_for_themselves() -> None:
+    config = system(container("c", node("a", restart=RestartLimits(max_restarts=1)), "b"))
+    async with running(config, launcher()) as sys:
+        await sys.until_loaded(2)
+        await crash(sys, "a")
+        await sys.until_loaded(2)
+        await crash(sys, "b")
+        assert "at once" in sys.node_events("/b", NodeState.CRASHED)[0].reason
+        await crash(sys, "a")
+        assert sys.node_states("/a")[-1] is NodeState.GAVE_UP
+        await sys.until_loaded(1)
 
 
-def test_a_reload_that_fails_is_tried_again_within_the_bounds() -> None:
+async def test_a_reload_that_fails_is_tried_again_within_the_bounds() -> None:
     class Busy(FakeContainer):
         """Its device is free again at the third try."""
 
@@ -163,58 +148,47 @@ def test_a_reload_that_fails_is_tried_again_within_the_bounds() -> None:
             else:
                 super().construct(held)
 
-    async def main() -> None:
-        async with running(system(container("c", "a")), launcher(Busy)) as sys:
-            await sys.until_loaded(1)
-            await crash(sys, "a")
-            await sys.until_loaded(1)
-            failures = sys.node_events("/a", NodeState.LOAD_FAILED)
-            assert ["device busy; it is loaded again in" in each.reason for each in failures] == [
-                True,
-                True,
-            ]
-            view = sys.view.containers["/c"].nodes[NodeKey("/c", "/a")]
-            assert (view.crashes, view.reloads) == (1, 3)
-
-    run(main())
+    async with running(system(container("c", "a")), launcher(Busy)) as sys:
+        await sys.until_loaded(1)
+        await crash(sys, "a")
+        await sys.until_loaded(1)
+        failures = sys.node_events("/a", NodeState.LOAD_FAILED)
+        assert ["device busy; it is loaded again in" in each.reason for each in failures] == [
+            True,
+            True,
+        ]
+        view = sys.view.containers["/c"].nodes[NodeKey("/c", "/a")]
+        assert (view.crashes, view.reloads) == (1, 3)
 
 
-def test_ignored_it_stays_away_until_its_container_is_started_anew() -> None:
-    async def main() -> Running:
-        config = system(container("c", node("a", OnCrash.IGNORE), "b"), duration=500.0)
-        async with running(config, launcher()) as sys:
-            await sys.until_loaded(2)
-            await crash(sys, "a")
-            await asyncio.sleep(100)
-            assert len(loads(the_container(sys))) == 1
-            assert sys.view.loaded == 1
-            assert [each.node for each in sys.view.failed] == ["/a"]
-            the_container(sys).crash()
-            await sys.until_loaded(2)
-            await crash(sys, "a")
-            await sys.stop.requested.wait()
-        return sys
-
-    sys = run(main())
+async def test_ignored_it_stays_away_until_its_container_is_started_anew() -> None:
+    config = system(container("c", node("a", OnCrash.IGNORE), "b"), duration=500.0)
+    async with running(config, launcher()) as sys:
+        await sys.until_loaded(2)
+        await crash(sys, "a")
+        await asyncio.sleep(100)
+        assert len(loads(the_container(sys))) == 1
+        assert sys.view.loaded == 1
+        assert [each.node for each in sys.view.failed] == ["/a"]
+        the_container(sys).crash()
+        await sys.until_loaded(2)
+        await crash(sys, "a")
+        await sys.stop.requested.wait()
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 1
 
 
-def test_its_container_is_stopped_in_order_and_the_others_run_on() -> None:
-    async def main() -> Running:
-        config = system(container("c", node("a", OnCrash.STOP_CONTAINER), "b"), container("d", "x"))
-        async with running(config, launcher()) as sys:
-            await sys.until_loaded(3)
-            await crash(sys, "a")
-            await sys.until_state("/c", ContainerState.STOPPED)
-            assert the_container(sys).process.stopped_with == ["ask"]
-            await asyncio.sleep(300)
-            assert len(sys.launcher.containers["/c"]) == 1
-            assert sys.view.containers["/d"].state is ContainerState.RUNNING
-            assert not sys.stop.requested.is_set()
-        return sys
-
-    sys = run(main())
+async def test_its_container_is_stopped_in_order_and_the_others_run_on() -> None:
+    config = system(container("c", node("a", OnCrash.STOP_CONTAINER), "b"), container("d", "x"))
+    async with running(config, launcher()) as sys:
+        await sys.until_loaded(3)
+        await crash(sys, "a")
+        await sys.until_state("/c", ContainerState.STOPPED)
+        assert the_container(sys).process.stopped_with == ["ask"]
+        await asyncio.sleep(300)
+        assert len(sys.launcher.containers["/c"]) == 1
+        assert sys.view.containers["/d"].state is ContainerState.RUNNING
+        assert not sys.stop.requested.is_set()
     assert sys.node_states("/a")[-1] is NodeState.GAVE_UP
     assert sys.node_states("/b")[-1] is NodeState.UNLOADED
     assert (
@@ -226,106 +200,84 @@ def test_its_container_is_stopped_in_order_and_the_others_run_on() -> None:
     assert sys.outcome.exit_code == 1
 
 
-def test_the_run_ends_when_its_only_container_is_stopped() -> None:
-    async def main() -> Running:
-        config = system(container("c", node("a", OnCrash.STOP_CONTAINER)))
-        async with running(config, launcher()) as sys:
-            await sys.until_loaded(1)
-            the_container(sys).crash_node("a")
-            await sys.stop.requested.wait()
-        return sys
-
-    sys = run(main())
+async def test_the_run_ends_when_its_only_container_is_stopped() -> None:
+    config = system(container("c", node("a", OnCrash.STOP_CONTAINER)))
+    async with running(config, launcher()) as sys:
+        await sys.until_loaded(1)
+        the_container(sys).crash_node("a")
+        await sys.stop.requested.wait()
     assert sys.outcome is not None
     assert (sys.outcome.reason, sys.outcome.exit_code) == ("nothing is left to run", 1)
 
 
-def test_the_whole_system_is_shut_down() -> None:
-    async def main() -> Running:
-        config = system(container("c", node("a", OnCrash.SHUTDOWN)), container("d", "x"))
-        async with running(config, launcher()) as sys:
-            await sys.until_loaded(2)
-            the_container(sys).crash_node("a")
-            await sys.stop.requested.wait()
-        return sys
-
-    sys = run(main())
+async def test_the_whole_system_is_shut_down() -> None:
+    config = system(container("c", node("a", OnCrash.SHUTDOWN)), container("d", "x"))
+    async with running(config, launcher()) as sys:
+        await sys.until_loaded(2)
+        the_container(sys).crash_node("a")
+        await sys.stop.requested.wait()
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 1
     assert sys.outcome.reason.startswith("/a crashed: exited with signal 11")
     assert sys.view.containers["/d"].state is ContainerState.STOPPED
 
 
-def test_a_node_that_crashes_while_its_container_stops_is_left_alone() -> None:
+async def test_a_node_that_crashes_while_its_container_stops_is_left_alone() -> None:
     class CrashesAtTheEnd(FakeContainer):
         def on_shutdown(self) -> None:
             self.crash_node("a")
             super().on_shutdown()
 
-    async def main() -> Running:
-        config = system(container("c", node("a", OnCrash.RELOAD)))
-        async with running(config, launcher(CrashesAtTheEnd)) as sys:
-            await sys.until_loaded(1)
-        return sys
-
-    sys = run(main())
+    config = system(container("c", node("a", OnCrash.RELOAD)))
+    async with running(config, launcher(CrashesAtTheEnd)) as sys:
+        await sys.until_loaded(1)
     assert len(loads(the_container(sys))) == 1
     assert crashes(sys, "/a") == 1
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 1
 
 
-def test_a_pending_reload_dies_with_its_container_and_the_new_one_loads_it() -> None:
-    async def main() -> None:
-        limits = RestartLimits(max_restarts=9, initial=50.0, maximum=100.0)
-        async with running(system(container("c", node("a", restart=limits))), launcher()) as sys:
-            await sys.until_loaded(1)
-            await crash(sys, "a")
-            await sys.until_loaded(1)
-            await crash(sys, "a")
-            the_container(sys).crash()
-            await sys.until_loaded(1)
-            await asyncio.sleep(200)
-            assert [len(loads(each)) for each in sys.launcher.containers["/c"]] == [2, 1]
-
-    run(main())
+async def test_a_pending_reload_dies_with_its_container_and_the_new_one_loads_it() -> None:
+    limits = RestartLimits(max_restarts=9, initial=50.0, maximum=100.0)
+    async with running(system(container("c", node("a", restart=limits))), launcher()) as sys:
+        await sys.until_loaded(1)
+        await crash(sys, "a")
+        await sys.until_loaded(1)
+        await crash(sys, "a")
+        the_container(sys).crash()
+        await sys.until_loaded(1)
+        await asyncio.sleep(200)
+        assert [len(loads(each)) for each in sys.launcher.containers["/c"]] == [2, 1]
 
 
-def test_one_that_was_given_up_does_not_come_back_with_its_container() -> None:
-    async def main() -> None:
-        config = system(container("c", node("a", restart=RestartLimits(max_restarts=0)), "b"))
-        async with running(config, launcher()) as sys:
-            await sys.until_loaded(2)
-            await crash(sys, "a")
-            the_container(sys).crash()
-            await sys.until_state("/c", ContainerState.BACKOFF)
-            await sys.until_loaded(1)
-            assert not loads(the_container(sys))
-            assert sys.node_states("/a")[-1] is NodeState.GAVE_UP
-
-    run(main())
+async def test_one_that_was_given_up_does_not_come_back_with_its_container() -> None:
+    config = system(container("c", node("a", restart=RestartLimits(max_restarts=0)), "b"))
+    async with running(config, launcher()) as sys:
+        await sys.until_loaded(2)
+        await crash(sys, "a")
+        the_container(sys).crash()
+        await sys.until_state("/c", ContainerState.BACKOFF)
+        await sys.until_loaded(1)
+        assert not loads(the_container(sys))
+        assert sys.node_states("/a")[-1] is NodeState.GAVE_UP
 
 
-def test_a_crash_in_the_constructor_is_no_long_life_after_a_long_life_before() -> None:
+async def test_a_crash_in_the_constructor_is_no_long_life_after_a_long_life_before() -> None:
     """The node lives long, its container dies, and the next attempt crashes while it is built."""
 
     class CrashesInConstructor(FakeContainer):
         def construct(self, held: Held) -> None:
             self.crash_node(held.load.node_name)
 
-    async def main() -> Running:
-        limits = RestartLimits(max_restarts=3, initial=4.0, maximum=30.0)
-        config = system(container("c", node("a", restart=limits)))
-        async with running(config, launcher(FakeContainer, CrashesInConstructor)) as sys:
-            for _ in range(2):
-                await sys.until_loaded(1)
-                await crash(sys, "a")
+    limits = RestartLimits(max_restarts=3, initial=4.0, maximum=30.0)
+    config = system(container("c", node("a", restart=limits)))
+    async with running(config, launcher(FakeContainer, CrashesInConstructor)) as sys:
+        for _ in range(2):
             await sys.until_loaded(1)
-            await asyncio.sleep(100)
-            the_container(sys).crash()
-            await sys.until(lambda: crashes(sys, "/a") == 3)
-        return sys
-
-    sys = run(main())
+            await crash(sys, "a")
+        await sys.until_loaded(1)
+        await asyncio.sleep(100)
+        the_container(sys).crash()
+        await sys.until(lambda: crashes(sys, "/a") == 3)
     reasons = [event.reason for event in sys.node_events("/a", NodeState.CRASHED)]
     assert ["at once" in reason for reason in reasons] == [True, False, False]

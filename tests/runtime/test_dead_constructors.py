@@ -18,7 +18,6 @@ from play_launch.supervisor.events import (
 )
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, node, system
-from .jumping_loop import run
 from .running import Running, running
 
 if TYPE_CHECKING:
@@ -77,17 +76,13 @@ async def _after(sys: Running, count: Callable[[], int]) -> None:
     await sys.until(lambda: count() > before)
 
 
-def test_what_a_dead_constructor_had_opened_is_freed_with_its_container() -> None:
-    async def main() -> Running:
-        makers = driver(SIGNAL, ERROR), driver()
-        async with running(system(container("c", "a", "b")), launcher(*makers)) as sys:
-            await load_again(sys, times=2)
-            await sys.until(lambda: len(sys.launcher.containers["/c"]) == 2)
-            await sys.until_loaded(2)
-            assert sys.launcher.containers["/c"][0].process.stopped_with == ["ask"]
-        return sys
-
-    sys = run(main())
+async def test_what_a_dead_constructor_had_opened_is_freed_with_its_container() -> None:
+    makers = driver(SIGNAL, ERROR), driver()
+    async with running(system(container("c", "a", "b")), launcher(*makers)) as sys:
+        await load_again(sys, times=2)
+        await sys.until(lambda: len(sys.launcher.containers["/c"]) == 2)
+        await sys.until_loaded(2)
+        assert sys.launcher.containers["/c"][0].process.stopped_with == ["ask"]
     (stopping,) = sys.container_events("/c", ContainerState.STOPPING)[:1]
     assert stopping.reason == (
         "/a cannot be loaded, and its constructor died in this container before (SIGSEGV): "
@@ -98,22 +93,18 @@ def test_what_a_dead_constructor_had_opened_is_freed_with_its_container() -> Non
     assert ProcessEventKind.RESTARTING not in sys.process_events("/c")
 
 
-def test_a_reload_that_fails_is_not_repeated_meanwhile() -> None:
+async def test_a_reload_that_fails_is_not_repeated_meanwhile() -> None:
     class Crashes(driver(FINE, SIGNAL, ERROR)):  # type: ignore[misc]
         def construct(self, held: Held) -> None:
             super().construct(held)
             if held.load.node_name == "a" and held.loaded:
                 self.crash_node("a")
 
-    async def main() -> Running:
-        limited = node("a", restart=RestartLimits(max_restarts=2))
-        config = system(container("c", limited, "b"))
-        async with running(config, launcher(Crashes, driver())) as sys:
-            await sys.until(lambda: len(sys.launcher.containers.get("/c", ())) == 2)
-            await sys.until_loaded(2)
-        return sys
-
-    sys = run(main())
+    limited = node("a", restart=RestartLimits(max_restarts=2))
+    config = system(container("c", limited, "b"))
+    async with running(config, launcher(Crashes, driver())) as sys:
+        await sys.until(lambda: len(sys.launcher.containers.get("/c", ())) == 2)
+        await sys.until_loaded(2)
     sent = sys.launcher.containers["/c"][0].link.sent
     loads = [each for each in sent if isinstance(each, Load) and each.node_name == "a"]
     assert len(loads) == 3
@@ -131,26 +122,20 @@ def test_a_reload_that_fails_is_not_repeated_meanwhile() -> None:
         ((SIGNAL, ERROR), {"max_restarts": 0}),
     ],
 )
-def test_a_container_stays_where_that_helps_nobody(
+async def test_a_container_stays_where_that_helps_nobody(
     ends: tuple[str, ...], options: dict[str, Any]
 ) -> None:
     restarts = options.pop("max_restarts", 3)
 
-    async def main() -> None:
-        config = system(container("c", "a", "b", max_restarts=restarts))
-        async with running(config, launcher(driver(*ends, **options))) as sys:
-            await load_again(sys, times=len(ends) + 1)
-            await sys.until_loaded(2)
-            assert sys.container_states("/c").count(ContainerState.STARTING) == 1
-
-    run(main())
+    config = system(container("c", "a", "b", max_restarts=restarts))
+    async with running(config, launcher(driver(*ends, **options))) as sys:
+        await load_again(sys, times=len(ends) + 1)
+        await sys.until_loaded(2)
+        assert sys.container_states("/c").count(ContainerState.STARTING) == 1
 
 
-def test_a_container_is_started_anew_once_for_a_node_that_never_comes() -> None:
-    async def main() -> None:
-        config = system(container("c", "a", "b"))
-        async with running(config, launcher(driver(SIGNAL, ERROR, ERROR))) as sys:
-            await load_again(sys, times=5)
-            assert len(sys.launcher.containers["/c"]) == 2
-
-    run(main())
+async def test_a_container_is_started_anew_once_for_a_node_that_never_comes() -> None:
+    config = system(container("c", "a", "b"))
+    async with running(config, launcher(driver(SIGNAL, ERROR, ERROR))) as sys:
+        await load_again(sys, times=5)
+        assert len(sys.launcher.containers["/c"]) == 2

@@ -19,7 +19,7 @@ from play_launch.supervisor.inputs import HealthReported, Input
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, system
 from .jumping_loop import run
-from .running import Running, running
+from .running import running
 
 LIMITS = WatchLimits()
 
@@ -42,21 +42,17 @@ def launcher(*makers: type[FakeContainer]) -> FakeLauncher:
     return FakeLauncher(makers={"/c": list(makers)})
 
 
-def test_it_is_found_killed_and_started_again_with_its_nodes(
+async def test_it_is_found_killed_and_started_again_with_its_nodes(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    async def main() -> Running:
-        fakes = launcher(Freezes, FakeContainer)
-        async with running(system(container("c", "a", "b")), fakes) as sys:
-            await sys.until_loaded(2)
-            began = asyncio.get_running_loop().time()
-            await sys.until_state("/c", ContainerState.BACKOFF)
-            took = asyncio.get_running_loop().time() - began
-            assert abs(took - (4 * LIMITS.interval + LIMITS.timeout)) < 0.1
-            await sys.until_loaded(2)
-        return sys
-
-    sys = run(main())
+    fakes = launcher(Freezes, FakeContainer)
+    async with running(system(container("c", "a", "b")), fakes) as sys:
+        await sys.until_loaded(2)
+        began = asyncio.get_running_loop().time()
+        await sys.until_state("/c", ContainerState.BACKOFF)
+        took = asyncio.get_running_loop().time() - began
+        assert abs(took - (4 * LIMITS.interval + LIMITS.timeout)) < 0.1
+        await sys.until_loaded(2)
     first = sys.launcher.containers["/c"][0]
     assert isinstance(first, Freezes)
     assert first.asked_after_that == 1, "nothing may pile up at it"
@@ -80,37 +76,31 @@ def test_it_is_found_killed_and_started_again_with_its_nodes(
     assert sys.outcome.exit_code == 0
 
 
-def test_a_debugger_may_take_any_time() -> None:
+async def test_a_debugger_may_take_any_time() -> None:
     class Stopped(Freezes):
         answers = 0
 
         def start(self) -> None:
             asyncio.get_running_loop().call_later(300, super().start)
 
-    async def main() -> None:
-        config = replace(container("c", "a"), prefix=("gdb", "--args"))
-        async with running(system(config), launcher(Stopped)) as sys:
-            await sys.until_loaded(1)
-            await asyncio.sleep(3600)
-            assert len(sys.launcher.containers["/c"]) == 1
-            assert sys.view.loaded == 1
-
-    run(main())
+    config = replace(container("c", "a"), prefix=("gdb", "--args"))
+    async with running(system(config), launcher(Stopped)) as sys:
+        await sys.until_loaded(1)
+        await asyncio.sleep(3600)
+        assert len(sys.launcher.containers["/c"]) == 1
+        assert sys.view.loaded == 1
 
 
-def test_who_answers_is_left_alone_for_ever() -> None:
+async def test_who_answers_is_left_alone_for_ever() -> None:
     class Slow(FakeContainer):
         def on_watch(self, query: Query) -> None:
             loop = asyncio.get_running_loop()
             loop.call_later(LIMITS.timeout - 0.1, super().on_watch, query)
 
-    async def main() -> None:
-        async with running(system(container("c", "a")), launcher(Slow)) as sys:
-            await sys.until_loaded(1)
-            await asyncio.sleep(1000)
-            assert len(sys.launcher.containers["/c"]) == 1
-
-    run(main())
+    async with running(system(container("c", "a")), launcher(Slow)) as sys:
+        await sys.until_loaded(1)
+        await asyncio.sleep(1000)
+        assert len(sys.launcher.containers["/c"]) == 1
 
 
 @pytest.mark.parametrize("whose", ["ours", "theirs", "theirs, not over"])
@@ -152,31 +142,24 @@ def test_where_processors_are_short_silence_means_nothing(
     assert "/c does not answer yet; processors are short" in caplog.text
 
 
-def test_silence_while_it_stops_is_nothing_to_the_watch() -> None:
+async def test_silence_while_it_stops_is_nothing_to_the_watch() -> None:
     class SlowEnd(Freezes):
         def on_shutdown(self) -> None:
             pass
 
-    async def main() -> Running:
-        async with running(system(container("c", "a")), launcher(SlowEnd)) as sys:
-            await sys.until_loaded(1)
-        return sys
-
-    sys = run(main())
+    async with running(system(container("c", "a")), launcher(SlowEnd)) as sys:
+        await sys.until_loaded(1)
     assert sys.launcher.containers["/c"][0].process.stopped_with == ["ask", "SIGINT"]
 
 
-def test_what_it_counts_is_told_when_it_grows(caplog: pytest.LogCaptureFixture) -> None:
+async def test_what_it_counts_is_told_when_it_grows(caplog: pytest.LogCaptureFixture) -> None:
     class Leaks(FakeContainer):
         def on_watch(self, query: Query) -> None:
             self.link.say(Status(query_id=query.query_id, crashes=5, leaked=1, unquiesced=2))
 
-    async def main() -> None:
-        async with running(system(container("c", "a")), launcher(Leaks)) as sys:
-            await sys.until_loaded(1)
-            await asyncio.sleep(10)
-
-    run(main())
+    async with running(system(container("c", "a")), launcher(Leaks)) as sys:
+        await sys.until_loaded(1)
+        await asyncio.sleep(10)
     messages = [record.getMessage() for record in caplog.records]
     assert sum("what 1 of 5 crashed nodes held stays" in each for each in messages) == 1
     assert sum("2 of 5 crashed nodes were killed" in each for each in messages) == 1
@@ -204,7 +187,7 @@ def test_answers_without_news_are_no_inputs(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize(
     ("unquiesced", "leaked", "found_after"), [(0, 0, None), (0, 1, None), (1, 0, 10), (1, 1, 4)]
 )
-def test_a_reload_that_hangs_after_a_sudden_death_is_a_lock_that_stays_locked(
+async def test_a_reload_that_hangs_after_a_sudden_death_is_a_lock_that_stays_locked(
     unquiesced: int, leaked: int, found_after: float | None
 ) -> None:
     class Poisoned(FakeContainer):
@@ -216,49 +199,42 @@ def test_a_reload_that_hangs_after_a_sudden_death_is_a_lock_that_stays_locked(
             answer = Status(query_id=query.query_id, unquiesced=unquiesced, leaked=leaked)
             self.link.say(answer)
 
-    async def main() -> None:
-        config = system(container("c", "a", "b"))
-        async with running(config, launcher(Poisoned, FakeContainer)) as sys:
-            await sys.until_loaded(2)
-            sys.launcher.containers["/c"][0].crash_node("a", signal=9)
-            died = asyncio.get_running_loop().time()
-            if found_after is None:
-                await asyncio.sleep(60)
-                assert len(sys.launcher.containers["/c"]) == 1
-                return
-            await sys.until_state("/c", ContainerState.BACKOFF)
-            assert asyncio.get_running_loop().time() - died <= found_after
-            await sys.until_loaded(2)
-            (killed,) = sys.container_events("/c", ContainerState.BACKOFF)
-            assert "/a is not loaded again" in killed.reason
-
-    run(main())
+    config = system(container("c", "a", "b"))
+    async with running(config, launcher(Poisoned, FakeContainer)) as sys:
+        await sys.until_loaded(2)
+        sys.launcher.containers["/c"][0].crash_node("a", signal=9)
+        died = asyncio.get_running_loop().time()
+        if found_after is None:
+            await asyncio.sleep(60)
+            assert len(sys.launcher.containers["/c"]) == 1
+            return
+        await sys.until_state("/c", ContainerState.BACKOFF)
+        assert asyncio.get_running_loop().time() - died <= found_after
+        await sys.until_loaded(2)
+        (killed,) = sys.container_events("/c", ContainerState.BACKOFF)
+        assert "/a is not loaded again" in killed.reason
 
 
-def test_a_lock_that_died_with_its_holder_is_cured_by_a_restart() -> None:
+async def test_a_lock_that_died_with_its_holder_is_cured_by_a_restart() -> None:
     class Stuck(FakeContainer):
         def on_watch(self, query: Query) -> None:
             locks = ("thread 12 waits", "thread 13 waits")
             self.link.say(Status(query_id=query.query_id, dead_locks=locks))
 
-    async def main() -> Running:
-        fakes = launcher(Stuck, FakeContainer)
-        async with running(system(container("c", "a", "b")), fakes) as sys:
-            await sys.until_loaded(2)
-            await sys.until_state("/c", ContainerState.BACKOFF)
-            await sys.until_loaded(2)
-            # The answers of the new process count anew.
-            await asyncio.sleep(60)
-            assert len(sys.launcher.containers["/c"]) == 2
-        return sys
-
-    sys = run(main())
+    fakes = launcher(Stuck, FakeContainer)
+    async with running(system(container("c", "a", "b")), fakes) as sys:
+        await sys.until_loaded(2)
+        await sys.until_state("/c", ContainerState.BACKOFF)
+        await sys.until_loaded(2)
+        # The answers of the new process count anew.
+        await asyncio.sleep(60)
+        assert len(sys.launcher.containers["/c"]) == 2
     assert sys.launcher.containers["/c"][0].process.stopped_with == ["kill"]
     (killed,) = sys.container_events("/c", ContainerState.BACKOFF)
     assert "a node died with a lock: thread 12 waits (and 1 more)" in killed.reason
 
 
-def test_a_node_that_stays_in_its_callbacks_is_told_once_and_left_alone(
+async def test_a_node_that_stays_in_its_callbacks_is_told_once_and_left_alone(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     class Busy(FakeContainer):
@@ -272,32 +248,28 @@ def test_a_node_that_stays_in_its_callbacks_is_told_once_and_left_alone(
                 nodes = [replace(self.status(held), silence_ns=round(silence * 1e9))]
             self.link.say(Status(query_id=query.query_id, nodes=tuple(nodes)))
 
-    async def main() -> Running:
-        async with running(system(container("c", "a", "b")), launcher(Busy)) as sys:
-            await sys.until_loaded(2)
-            fake = sys.launcher.containers["/c"][0]
-            assert isinstance(fake, Busy)
-            for _ in range(2):
-                fake.busy_since = asyncio.get_running_loop().time()
-                await asyncio.sleep(60)
-                assert (
-                    "blocked in a callback"
-                    in sys.view.containers["/c"].nodes[NodeKey("/c", "/a")].reason
-                )
-                fake.busy_since = None
-                await asyncio.sleep(10)
-                assert sys.view.containers["/c"].nodes[NodeKey("/c", "/a")].reason == ""
-            assert len(sys.launcher.containers["/c"]) == 1
-        return sys
-
-    sys = run(main())
+    async with running(system(container("c", "a", "b")), launcher(Busy)) as sys:
+        await sys.until_loaded(2)
+        fake = sys.launcher.containers["/c"][0]
+        assert isinstance(fake, Busy)
+        for _ in range(2):
+            fake.busy_since = asyncio.get_running_loop().time()
+            await asyncio.sleep(60)
+            assert (
+                "blocked in a callback"
+                in sys.view.containers["/c"].nodes[NodeKey("/c", "/a")].reason
+            )
+            fake.busy_since = None
+            await asyncio.sleep(10)
+            assert sys.view.containers["/c"].nodes[NodeKey("/c", "/a")].reason == ""
+        assert len(sys.launcher.containers["/c"]) == 1
     warnings = [r.getMessage() for r in caplog.records if "blocked in a callback" in r.getMessage()]
     assert len(warnings) == 2
     assert all("/a: its executor has been blocked in a callback for 1" in each for each in warnings)
     assert all(not event.reason for event in sys.node_events("/b", NodeState.LOADED))
 
 
-def test_a_storm_of_deaths_is_told_when_it_begins_and_when_it_is_over(
+async def test_a_storm_of_deaths_is_told_when_it_begins_and_when_it_is_over(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     class Storm(FakeContainer):
@@ -308,12 +280,9 @@ def test_a_storm_of_deaths_is_told_when_it_begins_and_when_it_is_over(
             answer = Status(query_id=query.query_id, crashes=self.deaths, unquiesced=self.deaths)
             self.link.say(answer)
 
-    async def main() -> None:
-        async with running(system(container("c", "a")), launcher(Storm)) as sys:
-            await sys.until_loaded(1)
-            await asyncio.sleep(120)
-
-    run(main())
+    async with running(system(container("c", "a")), launcher(Storm)) as sys:
+        await sys.until_loaded(1)
+        await asyncio.sleep(120)
     told = [
         r.getMessage()
         for r in caplog.records
@@ -322,7 +291,7 @@ def test_a_storm_of_deaths_is_told_when_it_begins_and_when_it_is_over(
     assert [each.split()[1] for each in told] == ["7", "70"]
 
 
-def test_a_crash_whose_frame_was_dropped_is_found_with_the_next_answer(
+async def test_a_crash_whose_frame_was_dropped_is_found_with_the_next_answer(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     class Drops(FakeContainer):
@@ -332,25 +301,21 @@ def test_a_crash_whose_frame_was_dropped_is_found_with_the_next_answer(
             answer = Status(query_id=query.query_id, dropped_frames=self.dropped)
             self.link.say(answer)
 
-    async def main() -> Running:
-        async with running(system(container("c", "a", "b")), launcher(Drops)) as sys:
-            await sys.until_loaded(2)
-            (fake,) = sys.launcher.containers["/c"]
-            assert isinstance(fake, Drops)
-            del fake.held[1]
-            fake.dropped = 1
-            await sys.until_loaded(1)
-            await asyncio.sleep(60)
-            assert sum(isinstance(each, Query) for each in fake.link.sent) == 1
-        return sys
-
-    sys = run(main())
+    async with running(system(container("c", "a", "b")), launcher(Drops)) as sys:
+        await sys.until_loaded(2)
+        (fake,) = sys.launcher.containers["/c"]
+        assert isinstance(fake, Drops)
+        del fake.held[1]
+        fake.dropped = 1
+        await sys.until_loaded(1)
+        await asyncio.sleep(60)
+        assert sum(isinstance(each, Query) for each in fake.link.sent) == 1
     assert "does not know it" in sys.node_events("/a", NodeState.LOST)[0].reason
     assert NodeState.LOST not in sys.node_states("/b")
     assert caplog.text.count("/c has dropped 1 frames so far") == 1
 
 
-def test_how_nodes_are_isolated_is_told(caplog: pytest.LogCaptureFixture) -> None:
+async def test_how_nodes_are_isolated_is_told(caplog: pytest.LogCaptureFixture) -> None:
     class FallsBack(FakeContainer):
         def hello(self, protocol_version: int = 1) -> Hello:
             return replace(
@@ -360,19 +325,14 @@ def test_how_nodes_are_isolated_is_told(caplog: pytest.LogCaptureFixture) -> Non
                 notes=("Linux 5.10 is older than 5.16",),
             )
 
-    async def main() -> Running:
-        members = [
-            replace(container(name, "a"), container_type=ContainerType.ISOLATED)
-            for name in ("c", "d")
-        ]
-        fakes = FakeLauncher(makers={"/c": [FallsBack], "/d": [FallsBack]})
-        async with running(system(*members), fakes) as sys:
-            await sys.until_loaded(2)
-            assert sys.view.containers["/c"].mechanism == "process"
-        assert sys.view.containers["/c"].mechanism == ""
-        return sys
-
-    sys = run(main())
+    members = [
+        replace(container(name, "a"), container_type=ContainerType.ISOLATED) for name in ("c", "d")
+    ]
+    fakes = FakeLauncher(makers={"/c": [FallsBack], "/d": [FallsBack]})
+    async with running(system(*members), fakes) as sys:
+        await sys.until_loaded(2)
+        assert sys.view.containers["/c"].mechanism == "process"
+    assert sys.view.containers["/c"].mechanism == ""
     ready = next(
         event
         for event in sys.events

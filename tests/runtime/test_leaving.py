@@ -19,7 +19,6 @@ from play_launch.control.protocol import OperationError
 from play_launch.supervisor.plan import Action
 
 from .fakes import FakeContainer, FakeLauncher, container, process, system
-from .jumping_loop import run
 from .running import Running, running
 
 BEFORE = system(container("box", "stays", "goes"), process("p"))
@@ -50,33 +49,29 @@ async def taken_out_too_slowly(sys: Running) -> None:
 
 
 @pytest.mark.parametrize("pause", [0, 100], ids=["on its way", "gone by then"])
-def test_what_left_too_slowly_comes_back_with_the_configuration_that_has_it(pause: float) -> None:
-    async def main() -> None:
-        async with running(BEFORE, FakeLauncher({"/box": [Slow]})) as sys:
-            await taken_out_too_slowly(sys)
-            await asyncio.sleep(pause)
-            back = sys.operated.applying.plan(BEFORE).steps
-            assert {(step.name, step.action) for step in back} == {
-                ("/box:/goes", Action.LOAD),
-                ("/p", Action.START),
-            }
-            assert (await sys.operated.applying.apply(BEFORE, limit=200)).succeeded
-            assert sys.view.loaded == 2
-            assert sys.view.is_complete
-            assert not sys.operated.applying.plan(BEFORE).differs
+async def test_what_left_too_slowly_returns_with_the_configuration_that_has_it(
+    pause: float,
+) -> None:
+    async with running(BEFORE, FakeLauncher({"/box": [Slow]})) as sys:
+        await taken_out_too_slowly(sys)
+        await asyncio.sleep(pause)
+        back = sys.operated.applying.plan(BEFORE).steps
+        assert {(step.name, step.action) for step in back} == {
+            ("/box:/goes", Action.LOAD),
+            ("/p", Action.START),
+        }
+        assert (await sys.operated.applying.apply(BEFORE, limit=200)).succeeded
+        assert sys.view.loaded == 2
+        assert sys.view.is_complete
+        assert not sys.operated.applying.plan(BEFORE).differs
 
-    run(main())
 
-
-def test_a_node_on_its_way_out_is_not_loaded_again_by_hand() -> None:
-    async def main() -> None:
-        async with running(BEFORE, FakeLauncher({"/box": [Slow]})) as sys:
-            await taken_out_too_slowly(sys)
-            sys.operated.start(NodeKey("/box", "/goes"))
-            await asyncio.sleep(100)
-            assert [key.name for key in sys.view.containers["/box"].nodes] == ["/stays"]
-
-    run(main())
+async def test_a_node_on_its_way_out_is_not_loaded_again_by_hand() -> None:
+    async with running(BEFORE, FakeLauncher({"/box": [Slow]})) as sys:
+        await taken_out_too_slowly(sys)
+        sys.operated.start(NodeKey("/box", "/goes"))
+        await asyncio.sleep(100)
+        assert [key.name for key in sys.view.containers["/box"].nodes] == ["/stays"]
 
 
 class Late(ActionLog):
@@ -95,20 +90,17 @@ class Late(ActionLog):
 
 @pytest.mark.parametrize("action", list(Asked))
 @pytest.mark.parametrize("name", ["/p", "/box", "/stays"])
-def test_what_is_taken_out_meanwhile_is_reported_as_such(action: Asked, name: str) -> None:
+async def test_what_is_taken_out_meanwhile_is_reported_as_such(action: Asked, name: str) -> None:
     is_node = name == "/stays"
     for_nodes = action in {Asked.LOAD, Asked.UNLOAD, Asked.RELOAD}
     if action is not Asked.SIGNAL and is_node is not for_nodes:
         return
 
-    async def main() -> None:
-        async with running(BEFORE, FakeLauncher()) as sys:
-            await sys.until_loaded(2)
-            actions = Actions(sys.operated, sys.publisher, Feed(), Late(sys))
-            request = ActionRequest(names=(name,))
-            if action is Asked.SIGNAL:
-                request = SignalRequest(names=(name,), signal="USR1")
-            with pytest.raises(OperationError, match="taken out of the system"):
-                await actions.act(action, request, Caller(os.getpid(), 0))
-
-    run(main())
+    async with running(BEFORE, FakeLauncher()) as sys:
+        await sys.until_loaded(2)
+        actions = Actions(sys.operated, sys.publisher, Feed(), Late(sys))
+        request = ActionRequest(names=(name,))
+        if action is Asked.SIGNAL:
+            request = SignalRequest(names=(name,), signal="USR1")
+        with pytest.raises(OperationError, match="taken out of the system"):
+            await actions.act(action, request, Caller(os.getpid(), 0))

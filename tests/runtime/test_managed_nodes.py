@@ -17,7 +17,6 @@ from play_launch.ros.managed_node import ManagedNodeClient
 from play_launch.supervisor.events import ManagedNodeChanged, ManagedState, NodeState
 
 from .fakes import FakeLauncher, container, process, system
-from .jumping_loop import run
 from .running import Running, running
 
 State = ManagedState
@@ -91,31 +90,24 @@ def states(sys: Running) -> list[ManagedState]:
     return [event.state for event in sys.events if isinstance(event, ManagedNodeChanged)]
 
 
-def test_it_is_brought_up_again_with_each_life() -> None:
-    async def main() -> Running:
-        ros = FakeRos()
-        async with running(managed(), FakeLauncher(), ros=ros) as sys:
-            await sys.until(lambda: states(sys) == WAY)
-            sys.operated.restart(NodeKey("/c", "/n"))
-            await sys.until(lambda: states(sys) == [*WAY, State.ABSENT, *WAY])
-            sys.operated.restart("/c", "try it")
-            await sys.until(lambda: states(sys).count(State.ACTIVE) == 3)
-        assert [each.is_open for each in ros.nodes] == [False] * 3
-        return sys
-
-    sys = run(main())
+async def test_it_is_brought_up_again_with_each_life() -> None:
+    ros = FakeRos()
+    async with running(managed(), FakeLauncher(), ros=ros) as sys:
+        await sys.until(lambda: states(sys) == WAY)
+        sys.operated.restart(NodeKey("/c", "/n"))
+        await sys.until(lambda: states(sys) == [*WAY, State.ABSENT, *WAY])
+        sys.operated.restart("/c", "try it")
+        await sys.until(lambda: states(sys).count(State.ACTIVE) == 3)
+    assert [each.is_open for each in ros.nodes] == [False] * 3
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 0
 
 
-def test_configure_goes_so_far_and_no_further() -> None:
-    async def main() -> None:
-        async with running(managed(Autostart.CONFIGURE), FakeLauncher(), ros=FakeRos()) as sys:
-            await sys.until(lambda: State.INACTIVE in states(sys))
-            await asyncio.sleep(100)
-            assert states(sys) == [State.ASKED, State.CONFIGURING, State.INACTIVE]
-
-    run(main())
+async def test_configure_goes_so_far_and_no_further() -> None:
+    async with running(managed(Autostart.CONFIGURE), FakeLauncher(), ros=FakeRos()) as sys:
+        await sys.until(lambda: State.INACTIVE in states(sys))
+        await asyncio.sleep(100)
+        assert states(sys) == [State.ASKED, State.CONFIGURING, State.INACTIVE]
 
 
 @pytest.mark.parametrize(
@@ -132,17 +124,13 @@ def test_configure_goes_so_far_and_no_further() -> None:
         ),
     ],
 )
-def test_a_failure_is_published_and_the_exit_code_says_it(
+async def test_a_failure_is_published_and_the_exit_code_says_it(
     traits: dict[str, float], reason: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def main() -> Running:
-        async with running(managed(timeout=5.0), FakeLauncher(), ros=FakeRos(**traits)) as sys:
-            await sys.until(lambda: State.FAILED in states(sys))
-            await asyncio.sleep(100)
-            assert states(sys).count(State.FAILED) == 1
-        return sys
-
-    sys = run(main())
+    async with running(managed(timeout=5.0), FakeLauncher(), ros=FakeRos(**traits)) as sys:
+        await sys.until(lambda: State.FAILED in states(sys))
+        await asyncio.sleep(100)
+        assert states(sys).count(State.FAILED) == 1
     failed = next(each for each in sys.events if getattr(each, "state", "") is State.FAILED)
     assert isinstance(failed, ManagedNodeChanged)
     assert (failed.unit, failed.node, failed.reason) == ("/c:/n", "/n", reason)
@@ -151,37 +139,32 @@ def test_a_failure_is_published_and_the_exit_code_says_it(
     assert sys.outcome.exit_code == 1
 
 
-def test_a_node_that_leaves_in_a_transition_is_not_waited_for() -> None:
-    async def main() -> None:
-        async with running(managed(), FakeLauncher(), ros=FakeRos(takes=1000.0)) as sys:
-            await sys.until(lambda: State.CONFIGURING in states(sys))
-            assert not sys.view.is_complete
-            sys.operated.stop(NodeKey("/c", "/n"))
-            await sys.until(lambda: NodeState.UNLOADED in sys.node_states("/n"))
-            assert states(sys)[-1] is State.ABSENT
-
-    run(main())
+async def test_a_node_that_leaves_in_a_transition_is_not_waited_for() -> None:
+    async with running(managed(), FakeLauncher(), ros=FakeRos(takes=1000.0)) as sys:
+        await sys.until(lambda: State.CONFIGURING in states(sys))
+        assert not sys.view.is_complete
+        sys.operated.stop(NodeKey("/c", "/n"))
+        await sys.until(lambda: NodeState.UNLOADED in sys.node_states("/n"))
+        assert states(sys)[-1] is State.ABSENT
 
 
-def test_a_process_and_who_helps_by_hand() -> None:
-    async def main() -> Running:
-        ros = FakeRos(refuses=3)
-        config = system(process("p"))
-        config = replace(
-            config, managed=MappingProxyType({"/p": ManagedConfig("/p", Autostart.ACTIVATE)})
-        )
-        async with running(config, FakeLauncher(), ros=ros) as sys:
-            await sys.until(lambda: State.FAILED in states(sys))
-            ros.nodes[0].on_state(3)
-            await sys.until(lambda: State.ACTIVE in states(sys))
-        return sys
-
-    sys = run(main())
+async def test_a_process_and_who_helps_by_hand() -> None:
+    ros = FakeRos(refuses=3)
+    config = system(process("p"))
+    config = replace(
+        config, managed=MappingProxyType({"/p": ManagedConfig("/p", Autostart.ACTIVATE)})
+    )
+    async with running(config, FakeLauncher(), ros=ros) as sys:
+        await sys.until(lambda: State.FAILED in states(sys))
+        ros.nodes[0].on_state(3)
+        await sys.until(lambda: State.ACTIVE in states(sys))
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 0
 
 
-def test_one_that_is_managed_no_longer_may_fail_late(caplog: pytest.LogCaptureFixture) -> None:
+async def test_one_that_is_no_longer_managed_may_fail(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     class FailsWhenCancelled(FakeNode):
         async def state(self) -> int:
             try:
@@ -197,40 +180,30 @@ def test_one_that_is_managed_no_longer_may_fail_late(caplog: pytest.LogCaptureFi
             self.nodes.append(FailsWhenCancelled(on_state))
             yield self.nodes[-1]
 
-    async def main() -> Running:
-        ros = Ros()
-        async with running(managed(), FakeLauncher(), ros=ros) as sys:
-            await sys.until(lambda: states(sys) == [State.ASKED])
-            await asyncio.sleep(1)
-            await sys.operated.applying.apply(system(container("c", "n", "m")))
-            await sys.until_loaded(2)
-            await asyncio.sleep(1)
-        return sys
-
-    sys = run(main())
+    ros = Ros()
+    async with running(managed(), FakeLauncher(), ros=ros) as sys:
+        await sys.until(lambda: states(sys) == [State.ASKED])
+        await asyncio.sleep(1)
+        await sys.operated.applying.apply(system(container("c", "n", "m")))
+        await sys.until_loaded(2)
+        await asyncio.sleep(1)
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 0
     assert "the node is gone" in caplog.text
 
 
-def test_a_state_is_seen_although_its_event_gets_lost() -> None:
-    async def main() -> None:
-        ros = FakeRos()
-        async with running(managed(Autostart.CONFIGURE), FakeLauncher(), ros=ros) as sys:
-            await sys.until(lambda: State.INACTIVE in states(sys))
-            # Somebody else activates it before our subscription is known to the node.
-            ros.nodes[0].at = 3
-            await sys.until(lambda: states(sys)[-1] is State.ACTIVE)
-
-    run(main())
+async def test_a_state_is_seen_although_its_event_gets_lost() -> None:
+    ros = FakeRos()
+    async with running(managed(Autostart.CONFIGURE), FakeLauncher(), ros=ros) as sys:
+        await sys.until(lambda: State.INACTIVE in states(sys))
+        # Somebody else activates it before our subscription is known to the node.
+        ros.nodes[0].at = 3
+        await sys.until(lambda: states(sys)[-1] is State.ACTIVE)
 
 
-def test_a_failure_is_not_forgotten_by_looking_again() -> None:
-    async def main() -> None:
-        ros = FakeRos(refuses=3, is_heard=False)
-        async with running(managed(), FakeLauncher(), ros=ros) as sys:
-            await sys.until(lambda: State.FAILED in states(sys))
-            await asyncio.sleep(100)
-            assert states(sys)[-1] is State.FAILED
-
-    run(main())
+async def test_a_failure_is_not_forgotten_by_looking_again() -> None:
+    ros = FakeRos(refuses=3, is_heard=False)
+    async with running(managed(), FakeLauncher(), ros=ros) as sys:
+        await sys.until(lambda: State.FAILED in states(sys))
+        await asyncio.sleep(100)
+        assert states(sys)[-1] is State.FAILED

@@ -48,20 +48,16 @@ def shown(events: list[RunEvent]) -> list[str]:
         ("/a shut its context down", "/a unloaded: /a shut its context down"),
     ],
 )
-def test_a_node_that_was_unloaded_without_our_asking(
+async def test_a_node_that_was_unloaded_without_our_asking(
     nodes: tuple[str, ...], error: str, told: str
 ) -> None:
-    async def main() -> Running:
-        fakes = FakeLauncher(makers={"/c": [Unloads]})
-        async with running(system(container("c", *nodes)), fakes) as sys:
-            await sys.until_loaded(len(nodes))
-            fake = sys.launcher.containers["/c"][0]
-            assert isinstance(fake, Unloads)
-            fake.unload("a", error)
-            await sys.until(lambda: NodeState.UNLOADED in sys.node_states("/a"))
-        return sys
-
-    sys = run(main())
+    fakes = FakeLauncher(makers={"/c": [Unloads]})
+    async with running(system(container("c", *nodes)), fakes) as sys:
+        await sys.until_loaded(len(nodes))
+        fake = sys.launcher.containers["/c"][0]
+        assert isinstance(fake, Unloads)
+        fake.unload("a", error)
+        await sys.until(lambda: NodeState.UNLOADED in sys.node_states("/a"))
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 3
     assert [each.node for each in sys.outcome.view.unloaded] == ["/a"]
@@ -97,14 +93,10 @@ def test_a_container_that_ended_in_order_and_unasked_is_missing_until_it_is_back
     assert back.outcome.exit_code == 0
 
 
-def test_a_process_between_two_starts_is_missing() -> None:
-    async def main() -> Running:
-        async with running(system(process("p", on_exit=OnExit.RESTART)), FakeLauncher()) as sys:
-            await sys.until(lambda: ProcessEventKind.STARTED in sys.process_events("/p"))
-            sys.launcher.processes["/p"][0].end(Exit(signal=11))
-            await sys.until(lambda: ProcessEventKind.RESTARTING in sys.process_events("/p"))
-        return sys
-
-    sys = run(main())
+async def test_a_process_between_two_starts_is_missing() -> None:
+    async with running(system(process("p", on_exit=OnExit.RESTART)), FakeLauncher()) as sys:
+        await sys.until(lambda: ProcessEventKind.STARTED in sys.process_events("/p"))
+        sys.launcher.processes["/p"][0].end(Exit(signal=11))
+        await sys.until(lambda: ProcessEventKind.RESTARTING in sys.process_events("/p"))
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 3

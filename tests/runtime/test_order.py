@@ -29,7 +29,6 @@ from play_launch.supervisor.events import (
 from play_launch.supervisor.world import World
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, process, system
-from .jumping_loop import run
 from .running import Running, running
 
 STARTED, EXITED = ProcessEventKind.STARTED, ProcessEventKind.EXITED
@@ -92,48 +91,38 @@ class Ros(RosAccess):
         raise AssertionError(name)
 
 
-def test_a_process_waits_for_one_that_exits_with_status_0() -> None:
-    async def main() -> Running:
-        fakes = FakeLauncher()
-        config = rules(
-            system(process("late"), process("early")), late=on(Condition.EXITED, "/early")
-        )
-        async with running(config, fakes) as sys:
-            await sys.until(lambda: STARTED in sys.process_events("/early"))
-            await asyncio.sleep(100)
-            assert "/late" not in fakes.processes
-            assert sys.view.processes["/late"].message == "waits for /early to exit with status 0"
-            assert not sys.view.is_complete
-            fakes.processes["/early"][0].end(Exit())
-            await sys.until(lambda: STARTED in sys.process_events("/late"))
-        return sys
-
-    sys = run(main())
+async def test_a_process_waits_for_one_that_exits_with_status_0() -> None:
+    fakes = FakeLauncher()
+    config = rules(system(process("late"), process("early")), late=on(Condition.EXITED, "/early"))
+    async with running(config, fakes) as sys:
+        await sys.until(lambda: STARTED in sys.process_events("/early"))
+        await asyncio.sleep(100)
+        assert "/late" not in fakes.processes
+        assert sys.view.processes["/late"].message == "waits for /early to exit with status 0"
+        assert not sys.view.is_complete
+        fakes.processes["/early"][0].end(Exit())
+        await sys.until(lambda: STARTED in sys.process_events("/late"))
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 0
 
 
 @pytest.mark.parametrize("how", ["exit", "start", "stop"])
-def test_one_that_cannot_come_any_more_is_reported_and_not_waited_for(how: str) -> None:
-    async def main() -> Running:
-        fakes = FakeLauncher()
-        if how == "start":
-            fakes.failures["/early"] = StartError("no file", permanent=True)
-        config = system(process("late"), process("later"), process("early"), process("other"))
-        needs = on(Condition.EXITED, "/early")
-        config = rules(config, late=needs, later=on(Condition.STARTED, "/late"))
-        async with running(config, fakes) as sys:
-            if how == "exit":
-                await sys.until(lambda: STARTED in sys.process_events("/early"))
-                fakes.processes["/early"][0].end(Exit(code=3))
-            elif how == "stop":
-                await sys.until(lambda: STARTED in sys.process_events("/early"))
-                sys.operated.stop("/early", "not needed")
-            await sys.until(lambda: GAVE_UP in sys.process_events("/later"))
-            assert "/late" not in fakes.processes
-        return sys
-
-    sys = run(main())
+async def test_one_that_cannot_come_any_more_is_reported_and_not_waited_for(how: str) -> None:
+    fakes = FakeLauncher()
+    if how == "start":
+        fakes.failures["/early"] = StartError("no file", permanent=True)
+    config = system(process("late"), process("later"), process("early"), process("other"))
+    needs = on(Condition.EXITED, "/early")
+    config = rules(config, late=needs, later=on(Condition.STARTED, "/late"))
+    async with running(config, fakes) as sys:
+        if how == "exit":
+            await sys.until(lambda: STARTED in sys.process_events("/early"))
+            fakes.processes["/early"][0].end(Exit(code=3))
+        elif how == "stop":
+            await sys.until(lambda: STARTED in sys.process_events("/early"))
+            sys.operated.stop("/early", "not needed")
+        await sys.until(lambda: GAVE_UP in sys.process_events("/later"))
+        assert "/late" not in fakes.processes
     why = {"exit": "exited with status 3", "start": "no file", "stop": "not needed"}[how]
     assert why in sys.gave_up()["/late"]
     assert sys.gave_up()["/late"].startswith("it waited for /early to exit with status 0: ")
@@ -142,60 +131,48 @@ def test_one_that_cannot_come_any_more_is_reported_and_not_waited_for(how: str) 
     assert sys.outcome.exit_code == 1
 
 
-def test_its_time_runs_out_and_it_fails_or_starts(caplog: pytest.LogCaptureFixture) -> None:
-    async def main() -> Running:
-        fakes = FakeLauncher()
-        config = system(process("fails"), process("starts"), process("early"))
-        config = rules(
-            config,
-            fails=on(Condition.EXITED, "/early", timeout=7.0),
-            starts=on(Condition.EXITED, "/early", timeout=9.0, on_timeout=OnTimeout.START),
-        )
-        async with running(config, fakes) as sys:
-            began = asyncio.get_running_loop().time()
-            await sys.until(lambda: GAVE_UP in sys.process_events("/fails"))
-            assert abs(asyncio.get_running_loop().time() - began - 7.0) < 0.1
-            await sys.until(lambda: STARTED in sys.process_events("/starts"))
-            assert abs(asyncio.get_running_loop().time() - began - 9.0) < 0.1
-        return sys
-
-    sys = run(main())
+async def test_its_time_runs_out_and_it_fails_or_starts(caplog: pytest.LogCaptureFixture) -> None:
+    fakes = FakeLauncher()
+    config = system(process("fails"), process("starts"), process("early"))
+    config = rules(
+        config,
+        fails=on(Condition.EXITED, "/early", timeout=7.0),
+        starts=on(Condition.EXITED, "/early", timeout=9.0, on_timeout=OnTimeout.START),
+    )
+    async with running(config, fakes) as sys:
+        began = asyncio.get_running_loop().time()
+        await sys.until(lambda: GAVE_UP in sys.process_events("/fails"))
+        assert abs(asyncio.get_running_loop().time() - began - 7.0) < 0.1
+        await sys.until(lambda: STARTED in sys.process_events("/starts"))
+        assert abs(asyncio.get_running_loop().time() - began - 9.0) < 0.1
     assert sys.gave_up() == {"/fails": "it waited for /early to exit with status 0: not within 7 s"}
     assert "/fails is not started: it waited" in caplog.text
     assert "/starts starts all the same: it waited for /early" in caplog.text
 
 
-def test_a_long_wait_is_reported(caplog: pytest.LogCaptureFixture) -> None:
-    async def main() -> None:
-        config = rules(
-            system(process("late"), process("early")), late=on(Condition.EXITED, "/early")
-        )
-        async with running(config, FakeLauncher()):
-            await asyncio.sleep(31)
-
-    run(main())
+async def test_a_long_wait_is_reported(caplog: pytest.LogCaptureFixture) -> None:
+    config = rules(system(process("late"), process("early")), late=on(Condition.EXITED, "/early"))
+    async with running(config, FakeLauncher()):
+        await asyncio.sleep(31)
     reports = [each.message for each in caplog.records if "has waited" in each.message]
     what = "it waits for /early to exit with status 0"
     assert reports == [f"/late has waited for {n} s: {what}" for n in (15, 30)]
 
 
-def test_a_delay() -> None:
-    async def main() -> Running:
-        fakes = FakeLauncher()
-        config = system(process("late", on_exit=OnExit.RESTART), container("c", "n"))
-        config = rules(config, delay=5.0, late=on(Condition.LOADED, "/c:/n"))
-        async with running(config, fakes) as sys:
-            await sys.until_loaded(1)
-            began = asyncio.get_running_loop().time()
-            await sys.until(lambda: STARTED in sys.process_events("/late"))
-            assert abs(asyncio.get_running_loop().time() - began - 5.0) < 0.1
-            began = asyncio.get_running_loop().time()
-            fakes.processes["/late"][0].end(Exit())
-            await sys.until(lambda: sys.process_events("/late").count(STARTED) == 2)
-            assert asyncio.get_running_loop().time() - began < 1.0, "a restart waits for nothing"
-        return sys
-
-    assert reasons(run(main()), "/late")[-1] == "waits for its delay of 5 s"
+async def test_a_delay() -> None:
+    fakes = FakeLauncher()
+    config = system(process("late", on_exit=OnExit.RESTART), container("c", "n"))
+    config = rules(config, delay=5.0, late=on(Condition.LOADED, "/c:/n"))
+    async with running(config, fakes) as sys:
+        await sys.until_loaded(1)
+        began = asyncio.get_running_loop().time()
+        await sys.until(lambda: STARTED in sys.process_events("/late"))
+        assert abs(asyncio.get_running_loop().time() - began - 5.0) < 0.1
+        began = asyncio.get_running_loop().time()
+        fakes.processes["/late"][0].end(Exit())
+        await sys.until(lambda: sys.process_events("/late").count(STARTED) == 2)
+        assert asyncio.get_running_loop().time() - began < 1.0, "a restart waits for nothing"
+    assert reasons(sys, "/late")[-1] == "waits for its delay of 5 s"
 
 
 class Slow(FakeContainer):
@@ -209,160 +186,137 @@ class Slow(FakeContainer):
         super().construct(held)
 
 
-def test_nodes_wait_for_each_other_and_a_container_is_loaded_with_its_last_one() -> None:
-    async def main() -> Running:
-        fakes = FakeLauncher(makers={"/c": [Slow]})
-        config = system(container("c", "b", "a"), container("d"))
-        config = rules(config, b=on(Condition.LOADED, "/c:/a"), d=on(Condition.LOADED, "/c"))
-        async with running(config, fakes) as sys:
-            await sys.until(lambda: NodeState.LOADING in sys.node_states("/a"))
-            slow = fakes.containers["/c"][0]
-            assert isinstance(slow, Slow)
-            await asyncio.sleep(1)
-            assert sys.node_states("/b") == [NodeState.PENDING] * 2
-            assert (
-                sys.node_events("/b", NodeState.PENDING)[-1].reason == "waits for /a to be loaded"
-            )
-            slow.let_construct("a")
-            await sys.until(lambda: NodeState.LOADING in sys.node_states("/b"))
-            assert "/d" not in fakes.containers
-            starting = sys.container_events("/d", ContainerState.STARTING)
-            assert starting[-1].reason == "waits for /c to be loaded"
-            slow.let_construct("b")
-            await sys.until_state("/d", ContainerState.RUNNING)
-        return sys
-
-    run(main())
+async def test_nodes_wait_for_each_other_and_a_container_is_loaded_with_its_last_one() -> None:
+    fakes = FakeLauncher(makers={"/c": [Slow]})
+    config = system(container("c", "b", "a"), container("d"))
+    config = rules(config, b=on(Condition.LOADED, "/c:/a"), d=on(Condition.LOADED, "/c"))
+    async with running(config, fakes) as sys:
+        await sys.until(lambda: NodeState.LOADING in sys.node_states("/a"))
+        slow = fakes.containers["/c"][0]
+        assert isinstance(slow, Slow)
+        await asyncio.sleep(1)
+        assert sys.node_states("/b") == [NodeState.PENDING] * 2
+        assert sys.node_events("/b", NodeState.PENDING)[-1].reason == "waits for /a to be loaded"
+        slow.let_construct("a")
+        await sys.until(lambda: NodeState.LOADING in sys.node_states("/b"))
+        assert "/d" not in fakes.containers
+        starting = sys.container_events("/d", ContainerState.STARTING)
+        assert starting[-1].reason == "waits for /c to be loaded"
+        slow.let_construct("b")
+        await sys.until_state("/d", ContainerState.RUNNING)
 
 
-def test_a_node_whose_dependency_fails_to_load_fails_with_the_reason() -> None:
+async def test_a_node_whose_dependency_fails_to_load_fails_with_the_reason() -> None:
     class Fails(FakeContainer):
         def construct(self, held: Held) -> None:
             self.say(ComponentEventKind.LOAD_FAILED, held, error="no such class")
 
-    async def main() -> Running:
-        fakes = FakeLauncher(makers={"/c": [Fails]})
-        config = system(container("c", "b", "a"), process("p"))
-        config = rules(config, b=on(Condition.LOADED, "/c:/a"), p=on(Condition.LOADED, "/c"))
-        async with running(config, fakes) as sys:
-            await sys.until(lambda: GAVE_UP in sys.process_events("/p"))
-            await sys.until(lambda: NodeState.LOAD_FAILED in sys.node_states("/b"))
-            # Who wants it all the same gets it.
-            sys.operated.start(NodeKey("/c", "/b"))
-            await sys.until(lambda: NodeState.REQUESTED in sys.node_states("/b"))
-        return sys
-
-    sys = run(main())
+    fakes = FakeLauncher(makers={"/c": [Fails]})
+    config = system(container("c", "b", "a"), process("p"))
+    config = rules(config, b=on(Condition.LOADED, "/c:/a"), p=on(Condition.LOADED, "/c"))
+    async with running(config, fakes) as sys:
+        await sys.until(lambda: GAVE_UP in sys.process_events("/p"))
+        await sys.until(lambda: NodeState.LOAD_FAILED in sys.node_states("/b"))
+        # Who wants it all the same gets it.
+        sys.operated.start(NodeKey("/c", "/b"))
+        await sys.until(lambda: NodeState.REQUESTED in sys.node_states("/b"))
     reason = sys.node_events("/b", NodeState.LOAD_FAILED)[0].reason
     assert reason == "it waited for /a to be loaded: it failed to load: no such class"
 
 
-def test_a_crash_that_is_followed_up_is_waited_for() -> None:
-    async def main() -> None:
-        fakes = FakeLauncher()
-        config = system(container("c", "a"), process("p"))
-        config = rules(config, delay=1.0, p=on(Condition.LOADED, "/c:/a"))
-        async with running(config, fakes) as sys:
-            await sys.until_loaded(1)
-            fakes.containers["/c"][0].crash()
-            await sys.until_state("/c", ContainerState.BACKOFF)
-            await sys.until_loaded(1)
-            await sys.until(lambda: STARTED in sys.process_events("/p"))
-
-    run(main())
+async def test_a_crash_that_is_followed_up_is_waited_for() -> None:
+    fakes = FakeLauncher()
+    config = system(container("c", "a"), process("p"))
+    config = rules(config, delay=1.0, p=on(Condition.LOADED, "/c:/a"))
+    async with running(config, fakes) as sys:
+        await sys.until_loaded(1)
+        fakes.containers["/c"][0].crash()
+        await sys.until_state("/c", ContainerState.BACKOFF)
+        await sys.until_loaded(1)
+        await sys.until(lambda: STARTED in sys.process_events("/p"))
 
 
-def test_somebody_starts_what_waits_and_stops_what_waits() -> None:
-    async def main() -> Running:
-        fakes = FakeLauncher()
-        config = system(process("one"), process("two"), process("early"), container("c", "n"))
-        config = rules(
-            config,
-            one=on(Condition.EXITED, "/early"),
-            two=on(Condition.EXITED, "/early"),
-            n=on(Condition.EXITED, "/early"),
-        )
-        async with running(config, fakes) as sys:
-            await sys.until(lambda: WAITING in sys.process_events("/two"))
-            await sys.until_state("/c", ContainerState.RUNNING)
-            sys.operated.start("/one")
-            sys.operated.stop("/two", "not needed")
-            sys.operated.stop(NodeKey("/c", "/n"))
-            await sys.until(lambda: STARTED in sys.process_events("/one"))
-            await sys.until(lambda: NodeState.UNLOADED in sys.node_states("/n"))
-            fakes.processes["/early"][0].end(Exit())
-            await asyncio.sleep(20)
-            assert "/two" not in fakes.processes
-            assert sys.node_states("/n")[-1] is NodeState.UNLOADED
-        return sys
-
-    run(main())
+async def test_somebody_starts_what_waits_and_stops_what_waits() -> None:
+    fakes = FakeLauncher()
+    config = system(process("one"), process("two"), process("early"), container("c", "n"))
+    config = rules(
+        config,
+        one=on(Condition.EXITED, "/early"),
+        two=on(Condition.EXITED, "/early"),
+        n=on(Condition.EXITED, "/early"),
+    )
+    async with running(config, fakes) as sys:
+        await sys.until(lambda: WAITING in sys.process_events("/two"))
+        await sys.until_state("/c", ContainerState.RUNNING)
+        sys.operated.start("/one")
+        sys.operated.stop("/two", "not needed")
+        sys.operated.stop(NodeKey("/c", "/n"))
+        await sys.until(lambda: STARTED in sys.process_events("/one"))
+        await sys.until(lambda: NodeState.UNLOADED in sys.node_states("/n"))
+        fakes.processes["/early"][0].end(Exit())
+        await asyncio.sleep(20)
+        assert "/two" not in fakes.processes
+        assert sys.node_states("/n")[-1] is NodeState.UNLOADED
 
 
-def test_lines_and_the_graph() -> None:
-    async def main() -> None:
-        fakes, ros = FakeLauncher(), Ros()
-        config = system(process("early"), process("line"), process("graph"), container("c", "n"))
-        config = rules(
-            config,
-            line=on(Condition.LOG, "/early", r"ready \d"),
-            graph=on(Condition.TOPIC, subject="/scan"),
-            n=on(Condition.SERVICE, subject="/map"),
-        )
-        async with running(config, fakes, ros=ros) as sys:
-            await sys.until(lambda: STARTED in sys.process_events("/early"))
-            await sys.until_state("/c", ContainerState.RUNNING)
-            await asyncio.sleep(1)
-            (graph,) = ros.graphs
-            scan, service = (Condition.TOPIC, "/scan"), (Condition.SERVICE, "/map")
-            assert graph.watched[-1] == {scan, service}
-            sys.say("/early", "not ready yet")
-            graph.on_change(frozenset({service}))
-            await sys.until_loaded(1)
-            assert graph.watched[-1] == {scan}
-            assert "/line" not in fakes.processes
-            sys.say("/early", "ready 5")
-            await sys.until(lambda: STARTED in sys.process_events("/line"))
-            graph.on_change(frozenset({scan}))
-            await sys.until(lambda: STARTED in sys.process_events("/graph"))
-            assert graph.watched[-1] == frozenset()
-        assert graph.is_closed
-
-    run(main())
+async def test_lines_and_the_graph() -> None:
+    fakes, ros = FakeLauncher(), Ros()
+    config = system(process("early"), process("line"), process("graph"), container("c", "n"))
+    config = rules(
+        config,
+        line=on(Condition.LOG, "/early", r"ready \d"),
+        graph=on(Condition.TOPIC, subject="/scan"),
+        n=on(Condition.SERVICE, subject="/map"),
+    )
+    async with running(config, fakes, ros=ros) as sys:
+        await sys.until(lambda: STARTED in sys.process_events("/early"))
+        await sys.until_state("/c", ContainerState.RUNNING)
+        await asyncio.sleep(1)
+        (graph,) = ros.graphs
+        scan, service = (Condition.TOPIC, "/scan"), (Condition.SERVICE, "/map")
+        assert graph.watched[-1] == {scan, service}
+        sys.say("/early", "not ready yet")
+        graph.on_change(frozenset({service}))
+        await sys.until_loaded(1)
+        assert graph.watched[-1] == {scan}
+        assert "/line" not in fakes.processes
+        sys.say("/early", "ready 5")
+        await sys.until(lambda: STARTED in sys.process_events("/line"))
+        graph.on_change(frozenset({scan}))
+        await sys.until(lambda: STARTED in sys.process_events("/graph"))
+        assert graph.watched[-1] == frozenset()
+    assert graph.is_closed
 
 
-def test_the_graph_counts_as_it_is_as_long_as_a_unit_waits_for_it() -> None:
+async def test_the_graph_counts_as_it_is_as_long_as_a_unit_waits_for_it() -> None:
     scan, map_ = (Condition.TOPIC, "/scan"), (Condition.SERVICE, "/map")
 
-    async def main() -> None:
-        fakes, ros = FakeLauncher(), Ros()
-        rule = StartRule(dependencies=tuple(on(kind, subject=name) for kind, name in (scan, map_)))
-        config = replace(system(process("p")), start_rules=MappingProxyType({"/p": rule}))
-        more = {"/p": rule, "/late": StartRule(dependencies=rule.dependencies[:1])}
-        target = system(process("p"), process("late"))
-        target = replace(target, start_rules=MappingProxyType(more))
-        async with running(config, fakes, ros=ros) as sys:
-            await sys.until(lambda: WAITING in sys.process_events("/p"))
-            (graph,) = ros.graphs
-            for seen in (scan, map_):
-                graph.on_change(frozenset({seen}))
-                await asyncio.sleep(1)
-                assert graph.watched == [{scan, map_}]
-            assert "/p" not in fakes.processes
-            graph.on_change(frozenset({scan, map_}))
-            await sys.until(lambda: STARTED in sys.process_events("/p"))
-            # What was seen before is no news of the graph as it is now.
-            applying = asyncio.ensure_future(sys.operated.applying.apply(target))
-            await sys.until(lambda: "/late" in sys.view.processes)
+    fakes, ros = FakeLauncher(), Ros()
+    rule = StartRule(dependencies=tuple(on(kind, subject=name) for kind, name in (scan, map_)))
+    config = replace(system(process("p")), start_rules=MappingProxyType({"/p": rule}))
+    more = {"/p": rule, "/late": StartRule(dependencies=rule.dependencies[:1])}
+    target = system(process("p"), process("late"))
+    target = replace(target, start_rules=MappingProxyType(more))
+    async with running(config, fakes, ros=ros) as sys:
+        await sys.until(lambda: WAITING in sys.process_events("/p"))
+        (graph,) = ros.graphs
+        for seen in (scan, map_):
+            graph.on_change(frozenset({seen}))
             await asyncio.sleep(1)
-            assert "/late" not in fakes.processes
-            graph.on_change(frozenset({scan}))
-            assert (await applying).succeeded
+            assert graph.watched == [{scan, map_}]
+        assert "/p" not in fakes.processes
+        graph.on_change(frozenset({scan, map_}))
+        await sys.until(lambda: STARTED in sys.process_events("/p"))
+        # What was seen before is no news of the graph as it is now.
+        applying = asyncio.ensure_future(sys.operated.applying.apply(target))
+        await sys.until(lambda: "/late" in sys.view.processes)
+        await asyncio.sleep(1)
+        assert "/late" not in fakes.processes
+        graph.on_change(frozenset({scan}))
+        assert (await applying).succeeded
 
-    run(main())
 
-
-def test_an_exception_in_the_rules_of_one_process_is_its_failure_alone(
+async def test_an_exception_in_the_rules_of_one_process_is_its_failure_alone(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fails_for_one(world: World, unit: Any, now: float) -> Any:
@@ -370,46 +324,33 @@ def test_an_exception_in_the_rules_of_one_process_is_its_failure_alone(
             raise LookupError("a bug")
         return readiness(world, unit, now)
 
-    async def main() -> Running:
-        monkeypatch.setattr(process_rules, "readiness", fails_for_one)
-        async with running(system(process("p"), process("early")), FakeLauncher()) as sys:
-            await sys.until(lambda: STARTED in sys.process_events("/early"))
-            assert list(sys.gave_up()) == ["/p"]
-        return sys
-
-    run(main())
+    monkeypatch.setattr(process_rules, "readiness", fails_for_one)
+    async with running(system(process("p"), process("early")), FakeLauncher()) as sys:
+        await sys.until(lambda: STARTED in sys.process_events("/early"))
+        assert list(sys.gave_up()) == ["/p"]
     assert "LookupError: a bug" in caplog.text
 
 
-def test_one_that_ends_without_the_line_is_not_waited_for() -> None:
-    async def main() -> Running:
-        fakes = FakeLauncher()
-        config = rules(system(process("p"), process("early")), p=on(Condition.LOG, "/early", "x"))
-        async with running(config, fakes) as sys:
-            await sys.until(lambda: STARTED in sys.process_events("/early"))
-            early = fakes.processes["/early"][0]
-            early.lingers = 2.0
-            early.end(Exit())
-            await asyncio.sleep(1)
-            assert GAVE_UP not in sys.process_events("/p"), "its last lines are not read yet"
-            await sys.until(lambda: GAVE_UP in sys.process_events("/p"))
-        return sys
-
-    assert run(main()).gave_up() == {
-        "/p": "it waited for a line of /early that matches x: it ended"
-    }
+async def test_one_that_ends_without_the_line_is_not_waited_for() -> None:
+    fakes = FakeLauncher()
+    config = rules(system(process("p"), process("early")), p=on(Condition.LOG, "/early", "x"))
+    async with running(config, fakes) as sys:
+        await sys.until(lambda: STARTED in sys.process_events("/early"))
+        early = fakes.processes["/early"][0]
+        early.lingers = 2.0
+        early.end(Exit())
+        await asyncio.sleep(1)
+        assert GAVE_UP not in sys.process_events("/p"), "its last lines are not read yet"
+        await sys.until(lambda: GAVE_UP in sys.process_events("/p"))
+    assert sys.gave_up() == {"/p": "it waited for a line of /early that matches x: it ended"}
 
 
-def test_they_stop_in_reverse_order() -> None:
-    async def main() -> Running:
-        fakes = FakeLauncher()
-        config = system(process("a"), container("c", "n"), process("z"), process("free"))
-        config = rules(config, n=on(Condition.STARTED, "/a"), z=on(Condition.LOADED, "/c:/n"))
-        async with running(config, fakes) as sys:
-            await sys.until(lambda: STARTED in sys.process_events("/z"))
-        return sys
-
-    sys = run(main())
+async def test_they_stop_in_reverse_order() -> None:
+    fakes = FakeLauncher()
+    config = system(process("a"), container("c", "n"), process("z"), process("free"))
+    config = rules(config, n=on(Condition.STARTED, "/a"), z=on(Condition.LOADED, "/c:/n"))
+    async with running(config, fakes) as sys:
+        await sys.until(lambda: STARTED in sys.process_events("/z"))
     ends = [
         event.name
         for event in sys.events
@@ -420,36 +361,29 @@ def test_they_stop_in_reverse_order() -> None:
     assert ends == ["/z", "/z", "/c", "/c", "/a", "/a"]
 
 
-def test_who_hurries_stops_all_at_once() -> None:
-    async def main() -> None:
-        fakes = FakeLauncher(on_process=lambda started: started.deaf_to.add("SIGINT"))
-        config = rules(system(process("a"), process("b")), b=on(Condition.STARTED, "/a"))
-        async with running(config, fakes) as sys:
-            await sys.until(lambda: STARTED in sys.process_events("/b"))
-            sys.stop.request(2)
-            await asyncio.sleep(0.5)
-            assert ProcessEventKind.STOPPING not in sys.process_events("/a")
-            sys.stop.request(2)
-            await asyncio.sleep(0.1)
-            assert ProcessEventKind.STOPPING in sys.process_events("/a")
-
-    run(main())
+async def test_who_hurries_stops_all_at_once() -> None:
+    fakes = FakeLauncher(on_process=lambda started: started.deaf_to.add("SIGINT"))
+    config = rules(system(process("a"), process("b")), b=on(Condition.STARTED, "/a"))
+    async with running(config, fakes) as sys:
+        await sys.until(lambda: STARTED in sys.process_events("/b"))
+        sys.stop.request(2)
+        await asyncio.sleep(0.5)
+        assert ProcessEventKind.STOPPING not in sys.process_events("/a")
+        sys.stop.request(2)
+        await asyncio.sleep(0.1)
+        assert ProcessEventKind.STOPPING in sys.process_events("/a")
 
 
-def test_a_stop_while_everything_waits() -> None:
-    async def main() -> Running:
-        config = system(process("a"), process("b"), container("c", "n"))
-        config = rules(
-            config,
-            a=on(Condition.FILE, subject="/nowhere/at/all"),
-            b=on(Condition.STARTED, "/a"),
-            c=on(Condition.STARTED, "/b"),
-        )
-        async with running(config, FakeLauncher()) as sys:
-            await sys.until(lambda: WAITING in sys.process_events("/b"))
-        return sys
-
-    sys = run(main())
+async def test_a_stop_while_everything_waits() -> None:
+    config = system(process("a"), process("b"), container("c", "n"))
+    config = rules(
+        config,
+        a=on(Condition.FILE, subject="/nowhere/at/all"),
+        b=on(Condition.STARTED, "/a"),
+        c=on(Condition.STARTED, "/b"),
+    )
+    async with running(config, FakeLauncher()) as sys:
+        await sys.until(lambda: WAITING in sys.process_events("/b"))
     assert not sys.launcher.processes
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 3

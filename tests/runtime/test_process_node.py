@@ -42,50 +42,39 @@ def test_it_runs_once(exit_: Exit, code: int) -> None:
 
 
 @pytest.mark.parametrize(("exit_", "code"), [(Exit(), 0), (Exit(code=3), 1), (Exit(signal=11), 1)])
-def test_its_end_is_that_of_the_system(exit_: Exit, code: int) -> None:
-    async def main() -> Running:
-        fakes = FakeLauncher()
-        config = system(process("p", on_exit=OnExit.SHUTDOWN), process("q"), container("c", "n"))
-        async with running(config, fakes) as sys:
-            await sys.until_loaded(1)
-            await sys.until(lambda: STARTED in sys.process_events("/q"))
-            fakes.processes["/p"][0].end(exit_)
-            await sys.until_stopped()
-        return sys
-
-    sys = run(main())
+async def test_its_end_is_that_of_the_system(exit_: Exit, code: int) -> None:
+    fakes = FakeLauncher()
+    config = system(process("p", on_exit=OnExit.SHUTDOWN), process("q"), container("c", "n"))
+    async with running(config, fakes) as sys:
+        await sys.until_loaded(1)
+        await sys.until(lambda: STARTED in sys.process_events("/q"))
+        fakes.processes["/p"][0].end(exit_)
+        await sys.until_stopped()
     assert sys.process_events("/q") == [STARTED, STOPPING, EXITED]
     assert sys.outcome is not None
     assert sys.outcome.reason == "/p has ended"
     assert sys.outcome.exit_code == code
 
 
-def test_what_cannot_be_started_ends_the_system_as_well() -> None:
+async def test_what_cannot_be_started_ends_the_system_as_well() -> None:
     fakes = FakeLauncher(failures={"/p": StartError("no file", permanent=True)})
 
-    async def main() -> Running:
-        config = system(process("p", on_exit=OnExit.SHUTDOWN), process("q"))
-        async with running(config, fakes) as sys:
-            await sys.until_stopped()
-        return sys
-
-    sys = run(main())
+    config = system(process("p", on_exit=OnExit.SHUTDOWN), process("q"))
+    async with running(config, fakes) as sys:
+        await sys.until_stopped()
     assert sys.outcome is not None
     assert (sys.outcome.reason, sys.outcome.exit_code) == ("/p has ended", 1)
 
 
-def test_who_stops_it_does_not_mean_the_system() -> None:
-    async def main() -> None:
-        config = system(process("p", on_exit=OnExit.SHUTDOWN), process("q"))
-        async with running(config, FakeLauncher()) as sys:
-            await sys.until(lambda: STARTED in sys.process_events("/p"))
-            sys.operated.restart("/p", "try again")
-            await sys.until(lambda: sys.process_events("/p").count(STARTED) == 2)
-            sys.operated.stop("/p", "not needed")
-            await sys.until(lambda: sys.process_events("/p").count(EXITED) == 2)
-            assert not sys.stop.requested.is_set()
-
-    run(main())
+async def test_who_stops_it_does_not_mean_the_system() -> None:
+    config = system(process("p", on_exit=OnExit.SHUTDOWN), process("q"))
+    async with running(config, FakeLauncher()) as sys:
+        await sys.until(lambda: STARTED in sys.process_events("/p"))
+        sys.operated.restart("/p", "try again")
+        await sys.until(lambda: sys.process_events("/p").count(STARTED) == 2)
+        sys.operated.stop("/p", "not needed")
+        await sys.until(lambda: sys.process_events("/p").count(EXITED) == 2)
+        assert not sys.stop.requested.is_set()
 
 
 def test_it_is_respawned_within_the_bounds() -> None:
@@ -130,73 +119,55 @@ def test_it_cannot_be_started(permanent: bool, on_exit: OnExit, tries: int) -> N
     assert "no file" in sys.view.processes["/p"].message
 
 
-def test_it_is_stopped_with_a_signal() -> None:
-    async def main() -> Running:
-        async with running(system(process("p", on_exit=OnExit.RESTART)), FakeLauncher()) as sys:
-            await sys.until(lambda: STARTED in sys.process_events("/p"))
-        return sys
-
-    sys = run(main())
+async def test_it_is_stopped_with_a_signal() -> None:
+    async with running(system(process("p", on_exit=OnExit.RESTART)), FakeLauncher()) as sys:
+        await sys.until(lambda: STARTED in sys.process_events("/p"))
     assert sys.process_events("/p") == [STARTED, STOPPING, EXITED]
     assert sys.launcher.processes["/p"][0].stopped_with == ["SIGINT"]
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 0
 
 
-def test_a_stop_while_it_waits_for_its_respawn() -> None:
-    async def main() -> Running:
-        async with running(
-            system(process("p", on_exit=OnExit.RESTART)), ending(Exit(code=1))
-        ) as sys:
-            await sys.until(lambda: RESTARTING in sys.process_events("/p"))
-        return sys
-
-    assert run(main()).process_events("/p") == [STARTED, EXITED, RESTARTING, STOPPED]
+async def test_a_stop_while_it_waits_for_its_respawn() -> None:
+    async with running(system(process("p", on_exit=OnExit.RESTART)), ending(Exit(code=1))) as sys:
+        await sys.until(lambda: RESTARTING in sys.process_events("/p"))
+    assert sys.process_events("/p") == [STARTED, EXITED, RESTARTING, STOPPED]
 
 
-def test_what_does_not_die_is_told_and_does_not_hold_up_the_end(
+async def test_what_does_not_die_is_told_and_does_not_hold_up_the_end(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     def immortal(started: FakeProcess) -> None:
         started.deaf_to = {"SIGINT", "SIGKILL"}
 
-    async def main() -> None:
-        fakes = FakeLauncher(on_process=immortal)
-        async with running(system(process("p")), fakes) as sys:
-            await sys.until(lambda: STARTED in sys.process_events("/p"))
-            sys.stop.request()
-            await sys.until_stopped()
-            fakes.processes["/p"][0].end(Exit(signal=9))  # for the check that nothing is left
-
-    run(main())
+    fakes = FakeLauncher(on_process=immortal)
+    async with running(system(process("p")), fakes) as sys:
+        await sys.until(lambda: STARTED in sys.process_events("/p"))
+        sys.stop.request()
+        await sys.until_stopped()
+        fakes.processes["/p"][0].end(Exit(signal=9))  # for the check that nothing is left
     assert "does not die" in caplog.text
 
 
-def test_what_is_stopped_between_two_starts_or_before_the_first_is_stopped() -> None:
+async def test_what_is_stopped_between_two_starts_or_before_the_first_is_stopped() -> None:
     def row(sys: Running, name: str) -> str:
         (found,) = (each for each in rows_of(sys.view, [name], {}) if each.name == name)
         return found.state
 
-    async def main() -> Running:
-        fakes = FakeLauncher()
-        config = system(
-            process("late"), process("restarts", on_exit=OnExit.RESTART), process("early")
-        )
-        waits = Dependency(condition=Condition.EXITED, unit="/early")
-        rules = MappingProxyType({"/late": StartRule(dependencies=(waits,))})
-        config = replace(config, start_rules=rules)
-        async with running(config, fakes) as sys:
-            await sys.until(lambda: ProcessEventKind.WAITING in sys.process_events("/late"))
-            await sys.until(lambda: STARTED in sys.process_events("/restarts"))
-            fakes.processes["/restarts"][0].end(Exit(code=3))
-            await sys.until(lambda: RESTARTING in sys.process_events("/restarts"))
-            assert (row(sys, "/late"), row(sys, "/restarts")) == ("waiting", "backoff")
-            for name in ("/late", "/restarts"):
-                sys.operated.stop(name, "not needed")
-            await sys.until(lambda: row(sys, "/late") == "stopped")
-            await sys.until(lambda: row(sys, "/restarts") == "stopped")
-            sys.operated.start("/restarts")
-            await sys.until(lambda: row(sys, "/restarts") == "running")
-        return sys
-
-    run(main())
+    fakes = FakeLauncher()
+    config = system(process("late"), process("restarts", on_exit=OnExit.RESTART), process("early"))
+    waits = Dependency(condition=Condition.EXITED, unit="/early")
+    rules = MappingProxyType({"/late": StartRule(dependencies=(waits,))})
+    config = replace(config, start_rules=rules)
+    async with running(config, fakes) as sys:
+        await sys.until(lambda: ProcessEventKind.WAITING in sys.process_events("/late"))
+        await sys.until(lambda: STARTED in sys.process_events("/restarts"))
+        fakes.processes["/restarts"][0].end(Exit(code=3))
+        await sys.until(lambda: RESTARTING in sys.process_events("/restarts"))
+        assert (row(sys, "/late"), row(sys, "/restarts")) == ("waiting", "backoff")
+        for name in ("/late", "/restarts"):
+            sys.operated.stop(name, "not needed")
+        await sys.until(lambda: row(sys, "/late") == "stopped")
+        await sys.until(lambda: row(sys, "/restarts") == "stopped")
+        sys.operated.start("/restarts")
+        await sys.until(lambda: row(sys, "/restarts") == "running")

@@ -22,7 +22,6 @@ from play_launch.supervisor.events import ProcessEventKind
 from play_launch.supervisor.plan import Result
 
 from .fakes import FakeLauncher, process, system
-from .jumping_loop import run
 from .running import Running, running
 
 BEFORE = system(process("other"), process("p"))
@@ -47,84 +46,68 @@ async def stop(sys: Running, *names: str, timeout: float = 60.0) -> Results:
     return await actions.act(OperatorAction.STOP, request, Caller(os.getpid(), 0))
 
 
-def test_a_stop_ends_when_somebody_starts_it_again() -> None:
-    async def main() -> None:
-        async with running(BEFORE, FakeLauncher()) as sys:
-            await until_up(sys)
-            slow(sys)
-            stopping = asyncio.create_task(stop(sys, "/p"))
-            await asyncio.sleep(1)
-            sys.operated.start("/p")
-            with pytest.raises(OperationError, match="/p: it was started again meanwhile"):
-                await stopping
-            await sys.until(lambda: len(sys.launcher.processes["/p"]) == 2)
-
-    run(main())
+async def test_a_stop_ends_when_somebody_starts_it_again() -> None:
+    async with running(BEFORE, FakeLauncher()) as sys:
+        await until_up(sys)
+        slow(sys)
+        stopping = asyncio.create_task(stop(sys, "/p"))
+        await asyncio.sleep(1)
+        sys.operated.start("/p")
+        with pytest.raises(OperationError, match="/p: it was started again meanwhile"):
+            await stopping
+        await sys.until(lambda: len(sys.launcher.processes["/p"]) == 2)
 
 
-def test_a_stop_is_done_although_a_configuration_replaces_it_at_that_moment() -> None:
-    async def main() -> None:
-        async with running(BEFORE, FakeLauncher()) as sys:
-            await until_up(sys)
-            slow(sys)
-            applying = asyncio.create_task(sys.operated.applying.apply(CHANGED))
-            await asyncio.sleep(1)
-            stopped = await stop(sys, "/p")
-            assert stopped == Results((ActionResult("/p", None, done=True, reason=""),))
-            assert (await applying).succeeded
-            assert len(sys.launcher.processes["/p"]) == 1
-            assert sys.operated.config.nodes == CHANGED.nodes
-            sys.operated.start("/p")
-            await sys.until(lambda: len(sys.launcher.processes["/p"]) == 2)
-
-    run(main())
+async def test_a_stop_is_done_although_a_configuration_replaces_it_at_that_moment() -> None:
+    async with running(BEFORE, FakeLauncher()) as sys:
+        await until_up(sys)
+        slow(sys)
+        applying = asyncio.create_task(sys.operated.applying.apply(CHANGED))
+        await asyncio.sleep(1)
+        stopped = await stop(sys, "/p")
+        assert stopped == Results((ActionResult("/p", None, done=True, reason=""),))
+        assert (await applying).succeeded
+        assert len(sys.launcher.processes["/p"]) == 1
+        assert sys.operated.config.nodes == CHANGED.nodes
+        sys.operated.start("/p")
+        await sys.until(lambda: len(sys.launcher.processes["/p"]) == 2)
 
 
 @pytest.mark.parametrize("target", [CHANGED, WITHOUT], ids=["changed", "taken out"])
-def test_a_start_does_not_keep_a_configuration_from_being_applied(target: Any) -> None:
-    async def main() -> None:
-        async with running(BEFORE, FakeLauncher()) as sys:
-            await until_up(sys)
-            slow(sys)
-            applying = asyncio.create_task(sys.operated.applying.apply(target, limit=2 * SLOW))
-            for _ in range(3):
-                await asyncio.sleep(1)
-                sys.operated.start("/p")
-            assert (await applying).succeeded
-            assert len(sys.launcher.processes["/p"]) == (2 if target is CHANGED else 1)
-            assert not sys.operated.applying.plan(target).differs
-
-    run(main())
+async def test_a_start_does_not_keep_a_configuration_from_being_applied(target: Any) -> None:
+    async with running(BEFORE, FakeLauncher()) as sys:
+        await until_up(sys)
+        slow(sys)
+        applying = asyncio.create_task(sys.operated.applying.apply(target, limit=2 * SLOW))
+        for _ in range(3):
+            await asyncio.sleep(1)
+            sys.operated.start("/p")
+        assert (await applying).succeeded
+        assert len(sys.launcher.processes["/p"]) == (2 if target is CHANGED else 1)
+        assert not sys.operated.applying.plan(target).differs
 
 
-def test_a_stop_that_takes_too_long_names_only_what_still_runs() -> None:
-    async def main() -> None:
-        async with running(BEFORE, FakeLauncher()) as sys:
-            await until_up(sys)
-            sys.launcher.processes["/p"][0].lingers = SLOW
-            with pytest.raises(OperationError, match=r"not done within 5 s: /p$") as late:
-                await stop(sys, "/p", "/other", timeout=5)
-            assert [each.name for each in late.value.details["results"]] == ["/other"]  # type: ignore[attr-defined]
-
-    run(main())
+async def test_a_stop_that_takes_too_long_names_only_what_still_runs() -> None:
+    async with running(BEFORE, FakeLauncher()) as sys:
+        await until_up(sys)
+        sys.launcher.processes["/p"][0].lingers = SLOW
+        with pytest.raises(OperationError, match=r"not done within 5 s: /p$") as late:
+            await stop(sys, "/p", "/other", timeout=5)
+        assert [each.name for each in late.value.details["results"]] == ["/other"]  # type: ignore[attr-defined]
 
 
-def test_a_configuration_that_is_refused_as_a_whole_leaves_the_start_rules_as_they_were() -> None:
+async def test_a_configuration_that_is_refused_leaves_the_start_rules_as_they_were() -> None:
     class Unprepared(FakeLauncher):
         async def prepare(self, config: ReplayConfig) -> None:
             raise StartError("no control groups", permanent=True)
 
-    async def main() -> Running:
-        before = system(process("p", on_exit=OnExit.RESTART), process("other"))
-        waits = Dependency(condition=Condition.EXITED, unit="/other")
-        rules = MappingProxyType({"/p": StartRule(dependencies=(waits,))})
-        refused = replace(before, nodes=before.nodes[:1], start_rules=rules)
-        async with running(before, Unprepared()) as sys:
-            await sys.until(lambda: ProcessEventKind.STARTED in sys.process_events("/p"))
-            applied = await sys.operated.applying.apply(refused)
-            assert {each.result for each in applied.outcomes} == {Result.SKIPPED}
-            sys.launcher.processes["/p"][0].end(Exit(signal=11))
-            await sys.until(lambda: len(sys.launcher.processes["/p"]) == 2)
-        return sys
-
-    run(main())
+    before = system(process("p", on_exit=OnExit.RESTART), process("other"))
+    waits = Dependency(condition=Condition.EXITED, unit="/other")
+    rules = MappingProxyType({"/p": StartRule(dependencies=(waits,))})
+    refused = replace(before, nodes=before.nodes[:1], start_rules=rules)
+    async with running(before, Unprepared()) as sys:
+        await sys.until(lambda: ProcessEventKind.STARTED in sys.process_events("/p"))
+        applied = await sys.operated.applying.apply(refused)
+        assert {each.result for each in applied.outcomes} == {Result.SKIPPED}
+        sys.launcher.processes["/p"][0].end(Exit(signal=11))
+        await sys.until(lambda: len(sys.launcher.processes["/p"]) == 2)

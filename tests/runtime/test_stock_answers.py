@@ -10,7 +10,7 @@ from play_launch.ros.composition import LoadReply
 from play_launch.runtime.stock_link import StockLink
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 
-from .stock_services import Services, ask, greeted, load, run, settle
+from .stock_services import Services, ask, greeted, load, settle
 
 
 async def event(link: StockLink, kind: ComponentEventKind) -> ComponentEvent:
@@ -24,70 +24,58 @@ async def event(link: StockLink, kind: ComponentEventKind) -> ComponentEvent:
 LOADED, LOAD_FAILED = ComponentEventKind.LOADED, ComponentEventKind.LOAD_FAILED
 
 
-def test_a_name_that_was_there_before_is_refused_and_nothing_is_sent() -> None:
-    async def main() -> None:
-        services = Services()
-        services.nodes = {1: "/a"}
-        link = await greeted(services)
-        link.send(load(1, "a"))
-        failed = await event(link, LOAD_FAILED)
-        assert "has a node of that name already (unique_id 1)" in failed.error_message
-        assert not services.loads
-        link.close()
-
-    run(main())
+async def test_a_name_that_was_there_before_is_refused_and_nothing_is_sent() -> None:
+    services = Services()
+    services.nodes = {1: "/a"}
+    link = await greeted(services)
+    link.send(load(1, "a"))
+    failed = await event(link, LOAD_FAILED)
+    assert "has a node of that name already (unique_id 1)" in failed.error_message
+    assert not services.loads
+    link.close()
 
 
-def test_a_name_that_has_become_free_meanwhile_is_loaded() -> None:
-    async def main() -> None:
-        services = Services()
-        services.nodes = {1: "/a"}
-        link = await greeted(services)
-        services.nodes = {}
-        link.send(load(1, "a"))
-        await settle()
-        assert len(services.loads) == 1
-        link.close()
-
-    run(main())
+async def test_a_name_that_has_become_free_meanwhile_is_loaded() -> None:
+    services = Services()
+    services.nodes = {1: "/a"}
+    link = await greeted(services)
+    services.nodes = {}
+    link.send(load(1, "a"))
+    await settle()
+    assert len(services.loads) == 1
+    link.close()
 
 
-def test_where_constructors_run_in_the_background_silence_stays_silence() -> None:
-    async def main() -> None:
-        services = Services()
-        services.is_serial = False
-        link = await greeted(services)
-        link.send(load(1, "slow"))
-        link.send(load(2, "next"))
-        await asyncio.sleep(10)
-        (slow, _) = (await ask(link)).nodes
-        assert "lists other nodes only" in slow.note
-        await settle()
-        assert len(services.loads) == 1
-        services.construct(0)
-        assert (await event(link, LOADED)).attempt == 1
-        link.close()
-
-    run(main())
+async def test_where_constructors_run_in_the_background_silence_stays_silence() -> None:
+    services = Services()
+    services.is_serial = False
+    link = await greeted(services)
+    link.send(load(1, "slow"))
+    link.send(load(2, "next"))
+    await asyncio.sleep(10)
+    (slow, _) = (await ask(link)).nodes
+    assert "lists other nodes only" in slow.note
+    await settle()
+    assert len(services.loads) == 1
+    services.construct(0)
+    assert (await event(link, LOADED)).attempt == 1
+    link.close()
 
 
 @pytest.mark.parametrize(
     ("listed", "found"), [({5: "/own"}, 5), ({5: "/own", 6: "/other"}, 0), ({}, 0)]
 )
-def test_a_silent_node_without_a_name_is_found_as_the_only_new_one(
+async def test_a_silent_node_without_a_name_is_found_as_the_only_new_one(
     listed: dict[int, str], found: int
 ) -> None:
-    async def main() -> None:
-        services = Services()
-        services.nodes = {1: "/old"}
-        link = await greeted(services)
-        link.send(load(1, ""))
-        await asyncio.sleep(10)
-        services.nodes |= listed
-        assert [each.unique_id for each in (await ask(link)).nodes] == ([found] if found else [])
-        link.close()
-
-    run(main())
+    services = Services()
+    services.nodes = {1: "/old"}
+    link = await greeted(services)
+    link.send(load(1, ""))
+    await asyncio.sleep(10)
+    services.nodes |= listed
+    assert [each.unique_id for each in (await ask(link)).nodes] == ([found] if found else [])
+    link.close()
 
 
 @pytest.mark.parametrize(
@@ -99,37 +87,31 @@ def test_a_silent_node_without_a_name_is_found_as_the_only_new_one(
         (LoadReply(False), LOAD_FAILED, "gave no reason"),
     ],
 )
-def test_the_answer_to_a_load_is_its_result_and_nothing_is_listed(
+async def test_the_answer_to_a_load_is_its_result_and_nothing_is_listed(
     answer: LoadReply, kind: ComponentEventKind, text: str
 ) -> None:
-    async def main() -> None:
-        services = Services()
-        link = await greeted(services)
-        lists = services.lists
-        link.send(load(1, "a"))
-        await settle()
-        services.loads[0][1].set_result(answer)
-        result = await event(link, kind)
-        assert (result.attempt, result.unique_id) == (1, answer.unique_id)
-        assert text in result.error_message
-        assert result.confirmed_by == ""
-        assert services.lists == lists
-        link.close()
-
-    run(main())
+    services = Services()
+    link = await greeted(services)
+    lists = services.lists
+    link.send(load(1, "a"))
+    await settle()
+    services.loads[0][1].set_result(answer)
+    result = await event(link, kind)
+    assert (result.attempt, result.unique_id) == (1, answer.unique_id)
+    assert text in result.error_message
+    assert result.confirmed_by == ""
+    assert services.lists == lists
+    link.close()
 
 
-def test_a_late_answer_of_a_lost_load_is_not_used() -> None:
-    async def main() -> None:
-        services = Services()
-        link = await greeted(services)
-        link.send(load(1, "a"))
-        await asyncio.sleep(10)
-        assert (await ask(link)).nodes == ()
-        assert services.loads[0][1].cancelled()
-        link.send(load(2, "a"))
-        await settle()
-        assert len(services.loads) == 2
-        link.close()
-
-    run(main())
+async def test_a_late_answer_of_a_lost_load_is_not_used() -> None:
+    services = Services()
+    link = await greeted(services)
+    link.send(load(1, "a"))
+    await asyncio.sleep(10)
+    assert (await ask(link)).nodes == ()
+    assert services.loads[0][1].cancelled()
+    link.send(load(2, "a"))
+    await settle()
+    assert len(services.loads) == 2
+    link.close()

@@ -95,40 +95,34 @@ class StopAt:
 
 @pytest.mark.parametrize("act", [["stop"], ["stop", "stop"], ["cancel"]], ids="-".join)
 @pytest.mark.parametrize("count", range(1, 60))
-def test_a_stop_at_any_moment_leaves_nothing(count: int, act: list[str]) -> None:
-    async def main() -> None:
-        fakes, stop = launcher(), StopRequests()
-        sink = StopAt(count, act, stop)
-        sink.task = asyncio.create_task(
-            run_system(CONFIG, Publisher(sink), stop, launcher=fakes, starts=2)
-        )
-        try:
-            outcome = await sink.task
-        except asyncio.CancelledError:
-            assert act == ["cancel"]
-        else:
-            assert outcome.exit_code == 128 + signal.SIGINT
-        assert sink.left <= 0, "the run did not get that far"
-        assert not fakes.alive()
-        assert fakes.closed
-
-    run(main())
+async def test_a_stop_at_any_moment_leaves_nothing(count: int, act: list[str]) -> None:
+    fakes, stop = launcher(), StopRequests()
+    sink = StopAt(count, act, stop)
+    sink.task = asyncio.create_task(
+        run_system(CONFIG, Publisher(sink), stop, launcher=fakes, starts=2)
+    )
+    try:
+        outcome = await sink.task
+    except asyncio.CancelledError:
+        assert act == ["cancel"]
+    else:
+        assert outcome.exit_code == 128 + signal.SIGINT
+    assert sink.left <= 0, "the run did not get that far"
+    assert not fakes.alive()
+    assert fakes.closed
 
 
-def test_a_stop_that_came_before_the_start_starts_nothing() -> None:
-    async def main() -> None:
-        fakes, stop = launcher(), StopRequests()
-        stop.request(signal.SIGTERM)
-        outcome = await run_system(CONFIG, Publisher(StopAt(0, [], stop)), stop, launcher=fakes)
-        assert outcome.exit_code == 143
-        assert not fakes.containers
-        assert not fakes.processes
-
-    run(main())
+async def test_a_stop_that_came_before_the_start_starts_nothing() -> None:
+    fakes, stop = launcher(), StopRequests()
+    stop.request(signal.SIGTERM)
+    outcome = await run_system(CONFIG, Publisher(StopAt(0, [], stop)), stop, launcher=fakes)
+    assert outcome.exit_code == 143
+    assert not fakes.containers
+    assert not fakes.processes
 
 
 @pytest.mark.parametrize("count", range(1, 60))
-def test_a_fault_of_our_own_costs_one_member_at_most_and_leaves_nothing(count: int) -> None:
+async def test_a_fault_of_our_own_costs_one_member_at_most_and_leaves_nothing(count: int) -> None:
     class Breaks(Publisher):
         left = count
 
@@ -138,23 +132,20 @@ def test_a_fault_of_our_own_costs_one_member_at_most_and_leaves_nothing(count: i
                 raise LookupError("a bug")
             super().publish(event)
 
-    async def main() -> None:
-        fakes = launcher()
-        sink = Running(fakes)
-        config = replace(CONFIG, duration=60.0)
-        try:
-            await run_system(config, Breaks(sink), sink.stop, launcher=fakes, starts=2)
-        except LookupError:
-            assert not fakes.containers, "members are announced before anything starts"
-            assert not fakes.processes
-        assert not fakes.alive()
-        assert fakes.closed
-        assert sum("LookupError" in reason for reason in sink.gave_up().values()) <= 1
-
-    run(main())
+    fakes = launcher()
+    sink = Running(fakes)
+    config = replace(CONFIG, duration=60.0)
+    try:
+        await run_system(config, Breaks(sink), sink.stop, launcher=fakes, starts=2)
+    except LookupError:
+        assert not fakes.containers, "members are announced before anything starts"
+        assert not fakes.processes
+    assert not fakes.alive()
+    assert fakes.closed
+    assert sum("LookupError" in reason for reason in sink.gave_up().values()) <= 1
 
 
-def test_a_sink_that_fails_gets_no_more_events_and_costs_no_member(
+async def test_a_sink_that_fails_gets_no_more_events_and_costs_no_member(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     class Breaks:
@@ -165,17 +156,13 @@ def test_a_sink_that_fails_gets_no_more_events_and_costs_no_member(
             if isinstance(event, ProcessEvent) and event.kind is ProcessEventKind.STARTED:
                 raise LookupError("a bug")
 
-    async def main() -> Running:
-        fakes = FakeLauncher()
-        async with running(system(container("c", "a"), process("p")), fakes) as sys:
-            sink = Breaks()
-            sys.publisher.add_sink(sink)
-            await sys.until_loaded(1)
-            await sys.until(lambda: ProcessEventKind.STARTED in sys.process_events("/p"))
-            assert sink.given < len(sys.events)
-        return sys
-
-    sys = run(main())
+    fakes = FakeLauncher()
+    async with running(system(container("c", "a"), process("p")), fakes) as sys:
+        sink = Breaks()
+        sys.publisher.add_sink(sink)
+        await sys.until_loaded(1)
+        await sys.until(lambda: ProcessEventKind.STARTED in sys.process_events("/p"))
+        assert sink.given < len(sys.events)
     assert not sys.gave_up()
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 0
@@ -197,7 +184,7 @@ class BrokenLink(FakeLink):
 
 
 @pytest.mark.parametrize(("failing", "gently"), [(1, "SIGINT"), (2, "ask"), (4, "ask")])
-def test_a_fault_of_our_own_stops_its_container_in_order_and_no_other(
+async def test_a_fault_of_our_own_stops_its_container_in_order_and_no_other(
     failing: int, gently: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     class Broken(FakeContainer):
@@ -207,19 +194,15 @@ def test_a_fault_of_our_own_stops_its_container_in_order_and_no_other(
 
     config = system(container("bad", "x", "y"), container("good", "a"), process("driver"))
 
-    async def main() -> Running:
-        fakes = FakeLauncher(makers={"/bad": [Broken]})
-        async with running(config, fakes) as sys:
-            await sys.until(lambda: "/bad" in sys.gave_up())
-            await sys.until(lambda: ProcessEventKind.EXITED in sys.process_events("/bad"))
-            await sys.until_loaded(1)
-            for each in (fakes.containers["/good"][0].process, fakes.processes["/driver"][0]):
-                assert each.exit is None
-                assert not each.stopped_with
-            sys.stop.request(reason="the test is over")
-        return sys
-
-    sys = run(main())
+    fakes = FakeLauncher(makers={"/bad": [Broken]})
+    async with running(config, fakes) as sys:
+        await sys.until(lambda: "/bad" in sys.gave_up())
+        await sys.until(lambda: ProcessEventKind.EXITED in sys.process_events("/bad"))
+        await sys.until_loaded(1)
+        for each in (fakes.containers["/good"][0].process, fakes.processes["/driver"][0]):
+            assert each.exit is None
+            assert not each.stopped_with
+        sys.stop.request(reason="the test is over")
     assert sys.launcher.containers["/bad"][0].process.stopped_with == [gently]
     reason = "internal error (its call stack is in the recording): RuntimeError: failed to send"
     assert sys.gave_up()["/bad"].startswith(reason)
@@ -233,7 +216,7 @@ def test_a_fault_of_our_own_stops_its_container_in_order_and_no_other(
     assert "Traceback" in caplog.text
 
 
-def test_a_fault_of_our_own_stops_its_process_in_order_and_no_other() -> None:
+async def test_a_fault_of_our_own_stops_its_process_in_order_and_no_other() -> None:
     class Unheard(FakeProcess):
         async def wait(self) -> Exit:
             if "bug" not in self.stopped_with:
@@ -250,20 +233,16 @@ def test_a_fault_of_our_own_stops_its_process_in_order_and_no_other() -> None:
                 started.__class__ = Unheard
             return started
 
-    async def main() -> Running:
-        async with running(system(process("bad"), process("good")), Launcher()) as sys:
-            await sys.until(lambda: "/bad" in sys.gave_up())
-            assert not sys.launcher.processes["/good"][0].stopped_with
-            sys.stop.request(reason="the test is over")
-        return sys
-
-    sys = run(main())
+    async with running(system(process("bad"), process("good")), Launcher()) as sys:
+        await sys.until(lambda: "/bad" in sys.gave_up())
+        assert not sys.launcher.processes["/good"][0].stopped_with
+        sys.stop.request(reason="the test is over")
     assert sys.launcher.processes["/bad"][0].stopped_with == ["bug", "SIGINT"]
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 1
 
 
-def test_a_start_that_is_not_answered_holds_up_no_restart_and_no_end() -> None:
+async def test_a_start_that_is_not_answered_holds_up_no_restart_and_no_end() -> None:
     class Unanswered(FakeLauncher):
         """The first start of each is not answered."""
 
@@ -279,14 +258,10 @@ def test_a_start_that_is_not_answered_holds_up_no_restart_and_no_end() -> None:
     awaited: list[str] = []
     begun = asyncio.Event()
 
-    async def main() -> Running:
-        async with running(system(process("again"), process("never")), Unanswered()) as sys:
-            await begun.wait()
-            sys.operated.restart("/again", "a restart")
-            await sys.until(lambda: ProcessEventKind.STARTED in sys.process_events("/again"))
-        return sys
-
-    sys = run(main())
+    async with running(system(process("again"), process("never")), Unanswered()) as sys:
+        await begun.wait()
+        sys.operated.restart("/again", "a restart")
+        await sys.until(lambda: ProcessEventKind.STARTED in sys.process_events("/again"))
     assert sorted(awaited) == ["/again", "/never"]
     assert len(sys.launcher.processes["/again"]) == 1
     assert "/never" not in sys.launcher.processes
@@ -294,26 +269,18 @@ def test_a_start_that_is_not_answered_holds_up_no_restart_and_no_end() -> None:
     assert sys.outcome.exit_code == 0
 
 
-def test_it_is_told_to_shut_down_before_it_is_sent_signals() -> None:
-    async def main() -> Running:
-        fakes = FakeLauncher(makers={"/c": [DeafToShutdown]})
-        async with running(system(container("c", "a")), fakes) as sys:
-            await sys.until_loaded(1)
-        return sys
-
-    sys = run(main())
+async def test_it_is_told_to_shut_down_before_it_is_sent_signals() -> None:
+    fakes = FakeLauncher(makers={"/c": [DeafToShutdown]})
+    async with running(system(container("c", "a")), fakes) as sys:
+        await sys.until_loaded(1)
     assert sys.launcher.containers["/c"][0].process.stopped_with == ["ask", "SIGINT"]
     assert sys.container_states("/c")[-2:] == [ContainerState.STOPPING, ContainerState.STOPPED]
 
 
-def test_who_has_not_said_hello_is_not_asked() -> None:
-    async def main() -> Running:
-        fakes = FakeLauncher(makers={"/c": [Mute]})
-        async with running(system(container("c", "a")), fakes) as sys:
-            await sys.until(lambda: bool(sys.process_events("/c")))
-        return sys
-
-    sys = run(main())
+async def test_who_has_not_said_hello_is_not_asked() -> None:
+    fakes = FakeLauncher(makers={"/c": [Mute]})
+    async with running(system(container("c", "a")), fakes) as sys:
+        await sys.until(lambda: bool(sys.process_events("/c")))
     assert sys.launcher.containers["/c"][0].process.stopped_with == ["SIGINT"]
 
 
@@ -363,13 +330,9 @@ def test_only_a_second_signal_hurries(requests: tuple[int | None, ...], hurries:
     assert stop.signum == requests[0]
 
 
-def test_the_duration_ends_a_run() -> None:
-    async def main() -> Running:
-        async with running(system(container("c", "a"), duration=30.0), FakeLauncher()) as sys:
-            await sys.stop.requested.wait()
-        return sys
-
-    sys = run(main())
+async def test_the_duration_ends_a_run() -> None:
+    async with running(system(container("c", "a"), duration=30.0), FakeLauncher()) as sys:
+        await sys.stop.requested.wait()
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 0
     assert sys.outcome.reason == "its duration of 30 s is over"
@@ -378,36 +341,24 @@ def test_the_duration_ends_a_run() -> None:
     assert sys.outcome.final_view.containers["/c"].state is ContainerState.STOPPED
 
 
-def test_what_dead_processes_left_is_removed_before_the_first_start_and_after_the_end() -> None:
-    async def main() -> FakeLauncher:
-        fakes = FakeLauncher()
-        async with running(system(container("c", "a"), duration=1.0), fakes) as sys:
-            await sys.stop.requested.wait()
-        return fakes
-
-    fakes = run(main())
+async def test_what_dead_processes_left_is_removed_before_the_start_and_after_the_end() -> None:
+    fakes = FakeLauncher()
+    async with running(system(container("c", "a"), duration=1.0), fakes) as sys:
+        await sys.stop.requested.wait()
     assert fakes.cleaned_before_a_start == [1]
     assert fakes.cleaned == 2
 
 
-def test_nothing_to_run_ends_at_once() -> None:
-    async def main() -> Running:
-        async with running(system(), FakeLauncher()) as sys:
-            await sys.stop.requested.wait()
-        return sys
-
-    sys = run(main())
+async def test_nothing_to_run_ends_at_once() -> None:
+    async with running(system(), FakeLauncher()) as sys:
+        await sys.stop.requested.wait()
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 0
 
 
-def test_everything_that_is_declared_is_known_from_the_start() -> None:
-    async def main() -> Running:
-        async with running(CONFIG, launcher()) as sys:
-            await sys.until(lambda: bool(sys.process_events("/good")))
-            states = {node.state for node in sys.view.waiting}
-            assert (sys.view.total, states) == (5, {NodeState.PENDING})
-        return sys
-
-    sys = run(main())
+async def test_everything_that_is_declared_is_known_from_the_start() -> None:
+    async with running(CONFIG, launcher()) as sys:
+        await sys.until(lambda: bool(sys.process_events("/good")))
+        states = {node.state for node in sys.view.waiting}
+        assert (sys.view.total, states) == (5, {NodeState.PENDING})
     assert ProcessEventKind.STARTED in sys.process_events("/p")
