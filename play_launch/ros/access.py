@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
+    from play_launch.ros.thread import RosThread
+
 _log = logging.getLogger(__name__)
 
 _RETRY_INTERVAL: Final = 10.0
@@ -60,13 +62,14 @@ class GraphSource:
         self._environment = environment
         self._on_change = on_change
         self._wanted: Wanted = frozenset()
-        self._changed = asyncio.Event()
+        self._thread: RosThread | None = None
         self._task: asyncio.Task[None] | None = None
 
     def watch(self, wanted: Iterable[tuple[Condition, str]]) -> None:
         """Watch these from now on, and no others."""
         self._wanted = frozenset(wanted)
-        self._changed.set()
+        if self._thread is not None:
+            self._thread.check_again()
         if self._wanted and (self._task is None or self._task.done()):
             self._task = asyncio.get_running_loop().create_task(self._run())
 
@@ -90,14 +93,17 @@ class GraphSource:
 
     async def _read_while_wanted(self) -> None:
         async with node_pool.used(self._environment) as thread:
-            forget = thread.listen(self._changed.set)
+            self._thread = thread
             try:
-                while self._wanted:
-                    self._changed.clear()
-                    self._on_change(await thread.call(partial(existing, wanted=self._wanted)))
-                    await self._changed.wait()
+                while wanted := self._wanted:
+                    seen = thread.graph_changes
+                    self._on_change(await thread.call(partial(existing, wanted=wanted)))
+                    await thread.until(partial(self._is_news, wanted, seen, thread))
             finally:
-                forget()
+                self._thread = None
+
+    def _is_news(self, wanted: Wanted, seen: int, thread: RosThread, _: Node) -> bool:
+        return self._wanted is not wanted or thread.graph_changes != seen
 
 
 def existing(node: Node, wanted: Wanted) -> Wanted:

@@ -58,7 +58,6 @@ class RosThread:
         self.name = name
         self._domain_id = domain_id
         self._work: deque[_Work] = deque()
-        self._listeners: list[Callable[[], None]] = []
         self._awaiting: list[_Work] = []
         """What is to be done when the graph has changed."""
         self._started = threading.Event()
@@ -165,7 +164,7 @@ class RosThread:
         try:
             await future
         except asyncio.CancelledError:
-            self.post(lambda _: self._look_again())  # else it stays until the graph changes
+            self.check_again()  # else it stays until the graph changes
             raise
 
     async def request(self, client: Callable[[Node], Any], message: Callable[[Any], Any]) -> Any:
@@ -197,23 +196,9 @@ class RosThread:
             self.post(lambda _: sender.remove_pending_request(expected))
             raise
 
-    def listen(self, on_change: Callable[[], None]) -> Callable[[], None]:
-        """Have ``on_change`` called in this event loop after changes of the graph.
-
-        Several changes may become one call. Returns what ends it.
-        """
-        loop = asyncio.get_running_loop()
-
-        def changed() -> None:
-            hand_over(loop, on_change)
-
-        self.post(lambda _: self._listeners.append(changed))
-
-        def forget(_: Node) -> None:
-            with suppress(ValueError):
-                self._listeners.remove(changed)
-
-        return lambda: self.post(forget)
+    def check_again(self) -> None:
+        """Have conditions that `until` waits for checked without a change of the graph."""
+        self.post(lambda _: self._look_again())
 
     def _run(self) -> None:
         try:
@@ -286,8 +271,6 @@ class RosThread:
 
     def _graph_changed(self) -> None:
         self.graph_changes += 1
-        for listener in tuple(self._listeners):
-            listener()
         self._look_again()
 
     def _look_again(self) -> None:

@@ -26,6 +26,8 @@ class StandIn:
     def __init__(self) -> None:
         self.is_leaving = asyncio.Event()
         self.may_leave = asyncio.Event()
+        self.checked = asyncio.Event()
+        self.graph_changes = 0
         self.times = 0
 
     @asynccontextmanager
@@ -37,8 +39,13 @@ class StandIn:
             self.is_leaving.set()
             await self.may_leave.wait()
 
-    def listen(self, _on_change: Callable[[], None]) -> Callable[[], None]:
-        return lambda: None
+    def check_again(self) -> None:
+        self.checked.set()
+
+    async def until(self, holds: Callable[[object], bool]) -> None:
+        while not holds(self):
+            await self.checked.wait()
+            self.checked.clear()
 
     async def call(self, work: partial[Wanted]) -> Any:
         return work.keywords["wanted"]
