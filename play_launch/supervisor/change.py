@@ -16,6 +16,7 @@ from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import NodeState
 from play_launch.supervisor.inputs import ChangeEnded, Raised, SetParameters
 from play_launch.supervisor.plan import Action, Kind, Need, Result, StepOutcome
+from play_launch.supervisor.view import FAILED_STATES, described
 from play_launch.supervisor.world import INACTIVE, STATE_OF_PHASE, Goal, Node, Phase, Process, Stage
 
 if TYPE_CHECKING:
@@ -26,9 +27,6 @@ if TYPE_CHECKING:
     from play_launch.supervisor.world import World
 
 _BECAUSE = "the configuration has changed"
-_FAILED = frozenset(
-    {NodeState.LOAD_FAILED, NodeState.CRASHED, NodeState.GAVE_UP, NodeState.UNLOADED}
-)
 
 
 class OpenStep(Struct, frozen=True):
@@ -306,7 +304,7 @@ def _process_settled(process: Process) -> str | None:
 
 def _container_settled(world: World, process: Process) -> str | None:
     if process.phase in INACTIVE:
-        return _text(STATE_OF_PHASE[process.phase], process.reason)
+        return described(STATE_OF_PHASE[process.phase], process.reason)
     if process.phase is not Phase.RUNNING:
         return None
     settled = {node.key: _load_settled(node) for node in world.nodes_of(process.name)}
@@ -330,7 +328,7 @@ def _node_settled(world: World, plan_step: Step) -> str | None:
         return ""
     container = world.processes[key.container]
     if container.phase in INACTIVE:
-        state = _text(STATE_OF_PHASE[container.phase], container.reason)
+        state = described(STATE_OF_PHASE[container.phase], container.reason)
         return f"its container is not there: {state}"
     return _load_settled(node)
 
@@ -340,8 +338,5 @@ def _load_settled(node: Node) -> str | None:
         return None
     if node.state is NodeState.LOADED:
         return ""
-    return _text(node.state, node.reason) if node.state in _FAILED else None
-
-
-def _text(state: object, reason: str) -> str:
-    return f"{state}: {reason}" if reason else str(state)
+    is_absent = node.state in FAILED_STATES or node.state is NodeState.UNLOADED
+    return described(node.state, node.reason) if is_absent else None

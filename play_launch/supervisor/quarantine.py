@@ -62,8 +62,7 @@ def begin(step: Reduction, container: Process, loads: Collection[NodeKey], reaso
         elif node.key in loads and (
             deaths >= MOST_DEATHS or (len(loads) == 1 and deaths >= _DEATHS_ALONE)
         ):
-            refused.append(node.key)
-            step.world.put(node, stage=Stage.REFUSED, deaths=deaths)
+            refused.append(step.world.put(node, stage=Stage.REFUSED, deaths=deaths))
         else:
             probe.append(node.key)
             text = "its library is loaded in a scratch process first"
@@ -73,8 +72,7 @@ def begin(step: Reduction, container: Process, loads: Collection[NodeKey], reaso
         first = next(iter(loads)).name
         names = f"{first} and {len(loads) - 1} more" if len(loads) > 1 else first
         step.log(f"{container.name} ended while it was loading {names}")
-    for key in refused:
-        node = step.node(key)
+    for node in refused:
         why = f"it took the container down {node.deaths} times while it was loaded: {reason}"
         node_rules.refuse(step, node, why)
     if probe:
@@ -97,11 +95,11 @@ def probed(step: Reduction, said: Probed) -> None:
     if finding is None or finding.loads:
         step.world.put(node, stage=Stage.CLEARED)
         return
-    step.world.put(node, stage=Stage.CONDEMNED)
+    node = step.world.put(node, stage=Stage.CONDEMNED)
     at = f" at {finding.blamed}" if finding.backtrace else ""
     name = node.key.container
     where = f"in a scratch process, tried because {name} ended while it loaded the node"
-    node_rules.refuse(step, step.node(node.key), f"{finding.error}{at} ({where})", finding)
+    node_rules.refuse(step, node, f"{finding.error}{at} ({where})", finding)
 
 
 def survived(world: World, node: Node) -> None:
@@ -114,18 +112,16 @@ def may_load(world: World, node: Node, now: float) -> bool:
     """Whether a cleared node is loaded now, beside the loads that are under way."""
     if node.stage is not Stage.CLEARED:
         return node.stage in {Stage.TRUSTED, Stage.TRIED}
-    others = [
-        each
-        for each in world.nodes_of(node.key.container)
-        if each.state in LOADING and each.sent_at >= now - ALONE_LIMIT
-    ]
+    all_ = tuple(world.nodes_of(node.key.container))
+    since = now - ALONE_LIMIT
+    others = [each for each in all_ if each.state in LOADING and each.sent_at >= since]
     if any(_is_alone(each) for each in others):
         return False
     if not _is_alone(node):
         return True
     cleared = [
         each
-        for each in world.nodes_of(node.key.container)
+        for each in all_
         if each.stage is Stage.CLEARED and each.wait is None and is_wanted(world, each)
     ]
     return not others and all(_is_alone(each) for each in cleared) and cleared[0].key == node.key

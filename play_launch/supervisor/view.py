@@ -333,11 +333,11 @@ def absent(view: SystemView) -> dict[str, str]:
     found: dict[str, str] = {}
     for container in view.containers.values():
         if container.state in _NOT_RUNNING:
-            found[container.name] = _said(container.state, container.reason)
+            found[container.name] = described(container.state, container.reason)
             continue
         for key, node in container.nodes.items():
             if node.state in _NOT_LOADED:
-                found[str(key)] = _said(node.state, node.reason)
+                found[str(key)] = described(node.state, node.reason)
     for process in view.processes.values():
         if process.name in view.dismissed and not process.pid:
             found[process.name] = "it was stopped"
@@ -346,7 +346,7 @@ def absent(view: SystemView) -> dict[str, str]:
     return found
 
 
-def _said(state: NodeState | ContainerState, reason: str) -> str:
+def described(state: NodeState | ContainerState, reason: str) -> str:
     return f"{state}: {reason}" if reason else str(state)
 
 
