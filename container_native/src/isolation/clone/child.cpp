@@ -13,7 +13,6 @@
 
 #include "base/core_limit.hpp"
 #include "base/process_identity.hpp"
-#include "isolation/clone/thread_destructors.hpp"
 #include "isolation/clone/vm_clone.hpp"
 #include "isolation/crash/crash_handler.hpp"
 #include "isolation/memory/protection_keys.hpp"
@@ -37,8 +36,6 @@ struct Launch {
 
 constexpr int kExitOrphaned = 125;
 constexpr int kExitKeptOut = 126;
-/// Times the limit: in between, a core may be written.
-constexpr int kLastLimit = 10;
 constexpr int kExitStatusMask = 0xff;
 
 /// The child has a copy of the container's actions, which would act on the container's memory.
@@ -102,28 +99,11 @@ void enter(const Launch& launch) noexcept {
   unblock_all_signals();
 }
 
-/// Of the first thread. Its handlers are in place, and its other threads may still run.
-void run_destructors(ChildRecord& record) noexcept {
-  ThreadDestructors* const destructors = ThreadDestructors::of_donor();
-  if (destructors == nullptr || record.after_death) {
-    return;
-  }
-  record.slot->report.in_destructors = true;
-  {
-    const auto limit = record.options.leave_limit;
-    const SelfSignal deadline(limit, SIGTERM, &record);
-    const SelfSignal last(limit * kLastLimit, SIGKILL);  // it may ignore the first
-    destructors->run();
-  }
-  record.slot->report.in_destructors = false;
-}
-
 int run_program(void* argument) {
   const auto& launch = *static_cast<const Launch*>(argument);
   enter(launch);
   ChildRecord& record = launch.record;
   const int status = record.program->run();
-  run_destructors(record);
   // Threads that the program left behind are about to be killed, too.
   claim_end(record);
   record.slot->phase = ChildPhase::returned;

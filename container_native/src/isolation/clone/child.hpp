@@ -12,9 +12,6 @@ namespace play_launch::isolation {
 /// - has default signal actions, but for SIGPIPE as the container has it, and the handlers of
 ///   crash_handler.hpp; blocks nothing;
 /// - ends alone when it calls exit();
-/// - when run() has returned, runs the destructors of its first thread's thread-local objects, but
-///   not after a child on the same donor that did not return, whose objects they may be. Another
-///   child on that donor finds such objects destroyed;
 /// - after a child on the same donor that did not return, can destroy condition variables in which
 ///   that one's threads died.
 /// Its CPU time: clock_getcpuclockid(slot.pid). (pthread_getcpuclockid() only works within it.)

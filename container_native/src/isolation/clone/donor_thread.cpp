@@ -7,12 +7,10 @@
 
 #include <cerrno>
 #include <chrono>
-#include <cstdlib>
 #include <system_error>
 #include <utility>
 
 #include "isolation/clone/allocator.hpp"
-#include "isolation/clone/thread_destructors.hpp"
 #include "isolation/clone/vm_clone.hpp"
 #include "isolation/record/own_signals.hpp"
 
@@ -94,25 +92,18 @@ void* DonorThread::start(void* self) {
   donor.rank_.begin();
   // Should a child manage to cancel the thread, it must not be the donor that ends.
   ::pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, nullptr);
-  // What the allocator keeps for the thread is the donor's, not the child's.
-  void* volatile first = std::malloc(1);
-  std::free(first);
-  const ThreadDestructors destructors;
   donor.body_();
   donor.rank_.end();
-  const bool like_others = !donor_is_tainted() && ThreadDestructors::can_run();
-  const ThreadDone done = allocator_thread_done();
-  if (!like_others && done != nullptr) {
+  if (const ThreadDone done = allocator_thread_done()) {
     clone_and_wait(give_back_memory, reinterpret_cast<void*>(done));
   }
   if (donor.ended_) {
     donor.ended_();
   }
-  if (!like_others) {
-    // Past the C library's end of a thread, with its destructors. The kernel wakes join().
-    ::syscall(SYS_exit, 0);
-  }
-  return nullptr;
+  // Past the C library's end of a thread: it would run destructors of thread-local objects that are
+  // the child's. The kernel wakes join().
+  ::syscall(SYS_exit, 0);
+  __builtin_unreachable();
 }
 
 }  // namespace play_launch::isolation

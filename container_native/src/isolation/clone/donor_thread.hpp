@@ -17,9 +17,9 @@ namespace play_launch::isolation {
 /// half changed. It can run another child, write to an eventfd, store into atomics, and return.
 /// Therefore keep everything else out of it: leave it to another thread.
 ///
-/// When the body returns after such a child, the thread ends without running any destructor of
-/// thread-local storage; what the allocator keeps for the thread is given back by one more
-/// short-lived child, or lost if even that fails. So does each where ThreadDestructors cannot run.
+/// When the body returns, the thread ends without running any destructor of thread-local storage,
+/// which would be the child's. One more short-lived child frees what the allocator keeps for the
+/// thread; if that fails, the memory is lost.
 class DonorThread {
  public:
   /// Starts the thread. `name` as for ChildOptions; `stack_size` in bytes is what the child has in

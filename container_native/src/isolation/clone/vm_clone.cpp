@@ -13,7 +13,6 @@
 #include "base/urgency.hpp"
 #include "isolation/clone/clone_syscall.hpp"
 #include "isolation/clone/donor_state.hpp"
-#include "isolation/clone/thread_destructors.hpp"
 #include "isolation/record/own_signals.hpp"
 
 namespace play_launch::isolation {
@@ -120,7 +119,6 @@ bool donor_is_tainted() noexcept { return tainted; }
 const char* prepare_clone() {
   static const char* const obstacle = [] {
     install_cancel_handler();
-    ThreadDestructors::prepare();
     return DonorState::prepare();
   }();
   return obstacle;

@@ -23,17 +23,17 @@ struct Birth {
 ///
 /// Afterwards the donor's state is what it was, as far as the C and C++ libraries keep any: errno,
 /// signal mask, locale, exceptions, list of robust mutexes, id of the thread. thread_local objects
-/// are what the child made of them, and so is the allocator's cache for this thread: after a child
-/// that did not return (ChildEnd::returned) the donor must neither use the allocator nor end like
-/// other threads do; see DonorThread.
+/// are what the child made of them, so the donor must not end like other threads, which destroy
+/// them. So is the allocator's cache for this thread: after a child that did not return
+/// (ChildEnd::returned) the donor must not use the allocator; see DonorThread.
 ///
 /// Never throws, never allocates. An exception that leaves `entry` ends the child in
 /// std::terminate, with the stack still as it was at the throw.
 ChildEnd clone_and_wait(CloneEntry entry, void* argument, void (*before_reaping)(void*) = nullptr,
                         Birth* birth = nullptr) noexcept;
 
-/// Whether a child of the calling thread did not return, so that the thread must not end like
-/// others.
+/// Whether a child of the calling thread did not return, so that the thread must not use the
+/// allocator.
 bool donor_is_tainted() noexcept;
 
 /// Prepares this process for children, the first time: before the first of them, and not in one.

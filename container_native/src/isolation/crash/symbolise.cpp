@@ -125,8 +125,7 @@ constexpr std::array kCodes{
 
 std::string describe_fault(const CrashReport& report) {
   if (report.code == SI_TIMER) {
-    return report.in_destructors ? "a destructor of a thread-local object did not end in time"
-                                 : "it did not leave in time after the signal";
+    return "it did not leave in time after the signal";
   }
   if (report.exception_type[0] != '\0') {
     const std::string text = report.exception_text.data();
@@ -170,8 +169,7 @@ std::string describe_fault(const CrashReport& report) {
 
 std::string describe_crash(const CrashReport& report) {
   return signal_name(report.signal) + " (" + describe_fault(report) + ") in thread '" +
-         report.thread_name.data() + "'" +
-         (report.in_destructors ? ", while its thread-local objects were being destroyed" : "");
+         report.thread_name.data() + "'";
 }
 
 std::string describe_signal(const ChildEnd& end, const CrashSlot& slot) {

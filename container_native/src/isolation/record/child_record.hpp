@@ -61,8 +61,7 @@ struct ChildOptions {
   std::chrono::milliseconds time_limit{0};
   std::chrono::milliseconds cpu_limit{0};
   /// From a signal that asks the child to leave (SIGTERM, SIGINT, or any crash signal that another
-  /// process sent) to its death of that signal, should run() not return. Destructors of the first
-  /// thread's thread-local objects get as long, asked or not.
+  /// process sent) to its death of that signal, should run() not return.
   std::chrono::milliseconds leave_limit{1000};
   /// For bringing the other threads to a harmless place before the child dies of a fault; up to
   /// four times as long when some of them get no processor.

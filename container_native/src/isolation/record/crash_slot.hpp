@@ -58,9 +58,6 @@ struct CrashReport {
   std::array<std::uintptr_t, kMaxFrames> resting_threads{};
   std::uint32_t resting_thread_count = 0;
 
-  /// Its program had returned, and destructors of its first thread's thread-local objects ran.
-  bool in_destructors = false;
-
   /// Its required control group did not let it in, and it ended.
   bool kept_out = false;
 
