@@ -20,6 +20,7 @@ from play_launch.process.processor_wait import (
     processor_wait,
     thread_wait,
 )
+from tests.support.waiting import until
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -62,8 +63,8 @@ def start() -> Iterator[Callable[[str], int]]:
 @counted
 def test_two_that_share_a_processor_wait_for_each_other(start: Callable[[str], int]) -> None:
     first, second = start("busy"), start("busy")
-    while not processor_wait(first, {"busy"}).seconds > 0.01:
-        assert os.waitid(os.P_PID, second, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None
+    until(lambda: processor_wait(first, {"busy"}).seconds > 0.01, "a wait for the other")
+    assert os.waitid(os.P_PID, second, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None
     assert processor_wait(first, {"busy"}).wants_one
     assert processor_wait(first, {"other"}) == ProcessorWait(0.0, wants_one=False)
     os.kill(first, signal.SIGSTOP)
