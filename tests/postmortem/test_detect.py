@@ -95,3 +95,13 @@ def test_a_late_bring_up_with_its_critical_chain(
             "Cause: its container was starting for 2.0 s, its load waited (waits for topic /tf) "
             "for 3.0 s, its constructor ran for 26 s."
         )
+
+
+def test_a_process_that_cannot_be_started(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.process(1, ProcessEventKind.GAVE_UP, "/driver", message="cannot start driver: no file")
+    scene.process(1, ProcessEventKind.STARTED, "/fine", pid=1)
+    (finding,) = scene.story(tmp_path).findings
+    assert finding.is_failure
+    what = "/driver was not started: it was given up at 1.000 s after the start."
+    assert text_of(finding) == (what, "Cause: cannot start driver: no file.")
