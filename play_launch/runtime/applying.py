@@ -32,10 +32,6 @@ class BusyError(Exception):
     """Another configuration is being applied."""
 
 
-def _ignore(outcome: StepOutcome) -> None:
-    del outcome
-
-
 class Applying:
     """Changes a running system; one change at a time."""
 
@@ -43,7 +39,7 @@ class Applying:
         self._system = system
         self._parameters = parameters
         self._outcomes: list[StepOutcome] = []
-        self._on_outcome: Callable[[StepOutcome], None] = _ignore
+        self._on_outcome: Callable[[StepOutcome], None] = lambda _: None
         self._target = system.config
         self._ended = asyncio.Event()
         self.idle = asyncio.Event()
@@ -79,7 +75,7 @@ class Applying:
         *,
         limit: float = STEP_LIMIT,
         rolls_back: bool = False,
-        on_outcome: Callable[[StepOutcome], None] = _ignore,
+        on_outcome: Callable[[StepOutcome], None] = lambda _: None,
     ) -> Applied:
         """Change what differs from ``target``, and nothing else.
 

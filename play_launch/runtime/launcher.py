@@ -187,10 +187,9 @@ class NativeLauncher:
         ros = ros_installation()
         container, guard = component_container(), spawn_guard()
         is_fastdds = uses_fastdds(config, os.environ)
-        if is_fastdds and (
-            problem := shared_memory_problem(shared_memory_room(), participants(config))
-        ):
-            _log.warning("%s", problem)
+        short = is_fastdds and shared_memory_problem(shared_memory_room(), participants(config))
+        if short:
+            _log.warning("%s", short)
         launcher = cls(
             machine=Machine(ros, container, os.environ, _allocator(config)),
             guard=guard,

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 import inspect
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ from blockbuster import blockbuster_ctx
 from play_launch.process.processor_wait import ProcessorWait
 from play_launch.runtime import watch
 
-from .jumping_loop import run
+from . import jumping_loop
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,10 +18,14 @@ if TYPE_CHECKING:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
-    """Run a test that is a coroutine function in a loop that jumps over every wait."""
+    """Run a test that is a coroutine function; its loop jumps over every wait, or uses real time.
+
+    It is real in modules with ``REAL_TIME``.
+    """
     if not inspect.iscoroutinefunction(pyfuncitem.obj):
         return None
     names = inspect.signature(pyfuncitem.obj).parameters
+    run = asyncio.run if hasattr(pyfuncitem.module, "REAL_TIME") else jumping_loop.run
     run(pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in names}))
     return True
 

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from play_launch.process.lines import OutputCallback
     from play_launch.runtime.launcher import ControlLink, ManagedProcess
 
+REAL_TIME = True
 QUICK = RestartLimits(max_restarts=2, within=60.0, initial=0.05, maximum=0.1)
 
 
@@ -127,31 +128,28 @@ def pid_of(watching: Running, name: str) -> int:
     return watching.view.containers[name].process.pid
 
 
-def test_a_killed_container_comes_back_with_its_nodes() -> None:
-    async def main() -> None:
-        config = system(
-            container("one", node("a", "Talker"), node("b", "Listener")),
-            container("other", node("c", "Listener")),
-        )
-        async with running_natively(config) as sys:
-            await sys.until_loaded(3)
-            first, other = pid_of(sys, "/one"), pid_of(sys, "/other")
-            os.kill(first, signal.SIGKILL)
-            # Its time in this state may be over before this task runs.
-            await sys.until(lambda: bool(sys.container_events("/one", ContainerState.BACKOFF)))
-            await sys.until_loaded(3)
-            assert pid_of(sys, "/one") != first
-            assert pid_of(sys, "/other") == other
-        assert sys.outcome is not None
-        crashed = crashed_while_stopped(sys.outcome.view, sys.outcome.final_view)
-        assert sys.outcome.exit_code == 0, crashed or sys.outcome.view
-        assert sys.view.containers["/one"].process.restarts == 1
-        assert sys.node_events("/a", NodeState.LOADED)[-1].pid != first
-
-    asyncio.run(main())
+async def test_a_killed_container_comes_back_with_its_nodes() -> None:
+    config = system(
+        container("one", node("a", "Talker"), node("b", "Listener")),
+        container("other", node("c", "Listener")),
+    )
+    async with running_natively(config) as sys:
+        await sys.until_loaded(3)
+        first, other = pid_of(sys, "/one"), pid_of(sys, "/other")
+        os.kill(first, signal.SIGKILL)
+        # Its time in this state may be over before this task runs.
+        await sys.until(lambda: bool(sys.container_events("/one", ContainerState.BACKOFF)))
+        await sys.until_loaded(3)
+        assert pid_of(sys, "/one") != first
+        assert pid_of(sys, "/other") == other
+    assert sys.outcome is not None
+    crashed = crashed_while_stopped(sys.outcome.view, sys.outcome.final_view)
+    assert sys.outcome.exit_code == 0, crashed or sys.outcome.view
+    assert sys.view.containers["/one"].process.restarts == 1
+    assert sys.node_events("/a", NodeState.LOADED)[-1].pid != first
 
 
-def test_a_fault_of_our_own_stops_one_container_in_order_and_no_other() -> None:
+async def test_a_fault_of_our_own_stops_one_container_in_order_and_no_other() -> None:
 
     class BrokenLink:
         def __init__(self, link: ControlLink) -> None:
@@ -172,184 +170,150 @@ def test_a_fault_of_our_own_stops_one_container_in_order_and_no_other() -> None:
             broken.append(BrokenLink(link))
             return process, broken[0]
 
-    async def main() -> None:
-        config = system(
-            container("bad", node("a", "Talker")),
-            container("good", node("b", "Listener")),
-            python("driver", "import time; time.sleep(600)"),
-        )
-        async with running_natively(config, await asyncio.to_thread(Launcher.of, config)) as sys:
-            await sys.until_loaded(2)
+    config = system(
+        container("bad", node("a", "Talker")),
+        container("good", node("b", "Listener")),
+        python("driver", "import time; time.sleep(600)"),
+    )
+    async with running_natively(config, await asyncio.to_thread(Launcher.of, config)) as sys:
+        await sys.until_loaded(2)
 
-            async def fails() -> Incoming:
-                raise RuntimeError("failed to send the request")
+        async def fails() -> Incoming:
+            raise RuntimeError("failed to send the request")
 
-            broken[0].receive = fails  # from its next message on
-            await sys.until(lambda: "/bad" in sys.gave_up())
-            await sys.until(lambda: ProcessEventKind.EXITED in sys.process_events("/bad"))
-            assert sys.view.loaded == 1
-            assert not set(sys.process_events("/good")) - {
-                ProcessEventKind.STARTED,
-                ProcessEventKind.READY,
-            }
-            assert sys.process_events("/driver") == [ProcessEventKind.STARTED]
-        (ended,) = (
-            event
-            for event in sys.events
-            if isinstance(event, ProcessEvent)
-            and (event.name, event.kind) == ("/bad", ProcessEventKind.EXITED)
-        )
-        assert (ended.exit_code, ended.signal) == (0, 0), "it was asked, and ended in order"
-        assert "RuntimeError" in sys.gave_up()["/bad"]
-        assert sys.outcome is not None
-        assert sys.outcome.exit_code == 1
-
-    asyncio.run(main())
+        broken[0].receive = fails  # from its next message on
+        await sys.until(lambda: "/bad" in sys.gave_up())
+        await sys.until(lambda: ProcessEventKind.EXITED in sys.process_events("/bad"))
+        assert sys.view.loaded == 1
+        assert not set(sys.process_events("/good")) - {
+            ProcessEventKind.STARTED,
+            ProcessEventKind.READY,
+        }
+        assert sys.process_events("/driver") == [ProcessEventKind.STARTED]
+    (ended,) = (
+        event
+        for event in sys.events
+        if isinstance(event, ProcessEvent)
+        and (event.name, event.kind) == ("/bad", ProcessEventKind.EXITED)
+    )
+    assert (ended.exit_code, ended.signal) == (0, 0), "it was asked, and ended in order"
+    assert "RuntimeError" in sys.gave_up()["/bad"]
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 1
 
 
-def test_a_constructor_that_always_takes_its_container_down_is_found_out() -> None:
-    async def main() -> None:
-        crasher = node("c", "Crasher", how="segv", in_constructor=True)
-        config = container("bad", crasher, node("a", "Talker"))
-        config = replace(config, restart=replace(QUICK, max_restarts=5))
-        async with running_natively(system(config)) as sys:
-            await sys.until(lambda: bool(sys.view.failed))
-            await sys.until_loaded(1)
-        assert sys.process_events("/bad").count(ProcessEventKind.STARTED) <= 4
-        (failed,) = sys.node_events("/c", NodeState.LOAD_FAILED)
-        assert "it took the container down" in failed.reason
-        assert "signal 11" in failed.reason
-        assert sys.outcome is not None
-        assert sys.outcome.exit_code == 1
-
-    asyncio.run(main())
+async def test_a_constructor_that_always_takes_its_container_down_is_found_out() -> None:
+    crasher = node("c", "Crasher", how="segv", in_constructor=True)
+    config = container("bad", crasher, node("a", "Talker"))
+    config = replace(config, restart=replace(QUICK, max_restarts=5))
+    async with running_natively(system(config)) as sys:
+        await sys.until(lambda: bool(sys.view.failed))
+        await sys.until_loaded(1)
+    assert sys.process_events("/bad").count(ProcessEventKind.STARTED) <= 4
+    (failed,) = sys.node_events("/c", NodeState.LOAD_FAILED)
+    assert "it took the container down" in failed.reason
+    assert "signal 11" in failed.reason
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 1
 
 
-def test_loads_fail_with_reasons_and_the_others_are_there() -> None:
-    async def main() -> None:
-        nodes = (
-            node("throws", "ThrowingConstructor", reason="no such camera"),
-            node("nobody", "Nobody"),
-            node("broken", "MissingSymbol", package="play_launch_broken"),
-            node("a", "Talker"),
-        )
-        async with running_natively(system(container("c", *nodes))) as sys:
-            await sys.until(lambda: len(sys.view.failed) == 3)
-            await sys.until_loaded(1)
-            reasons = {each.node: each.reason for each in sys.view.failed}
-        assert "no such camera" in reasons["/throws"]
-        assert "Nobody" in reasons["/nobody"]
-        assert reasons["/broken"]
-        assert sys.outcome is not None
-        assert sys.outcome.exit_code == 1
-
-    asyncio.run(main())
+async def test_loads_fail_with_reasons_and_the_others_are_there() -> None:
+    nodes = (
+        node("throws", "ThrowingConstructor", reason="no such camera"),
+        node("nobody", "Nobody"),
+        node("broken", "MissingSymbol", package="play_launch_broken"),
+        node("a", "Talker"),
+    )
+    async with running_natively(system(container("c", *nodes))) as sys:
+        await sys.until(lambda: len(sys.view.failed) == 3)
+        await sys.until_loaded(1)
+        reasons = {each.node: each.reason for each in sys.view.failed}
+    assert "no such camera" in reasons["/throws"]
+    assert "Nobody" in reasons["/nobody"]
+    assert reasons["/broken"]
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 1
 
 
-def test_a_slow_constructor_is_asked_about_and_loaded_once() -> None:
-    async def main() -> None:
-        slow = node("slow", "SlowConstructor", seconds=1.5)
-        async with running_natively(system(container("c", slow, timeout=0.5))) as sys:
-            await sys.until_loaded(1)
-            report = sys.node_events("/slow", NodeState.LOADING)[1]
-            assert report.pid == pid_of(sys, "/c")
-            assert "its constructor runs for" in report.reason
-        assert len(sys.node_events("/slow", NodeState.REQUESTED)) == 1
-
-    asyncio.run(main())
+async def test_a_slow_constructor_is_asked_about_and_loaded_once() -> None:
+    slow = node("slow", "SlowConstructor", seconds=1.5)
+    async with running_natively(system(container("c", slow, timeout=0.5))) as sys:
+        await sys.until_loaded(1)
+        report = sys.node_events("/slow", NodeState.LOADING)[1]
+        assert report.pid == pid_of(sys, "/c")
+        assert "its constructor runs for" in report.reason
+    assert len(sys.node_events("/slow", NodeState.REQUESTED)) == 1
 
 
 @pytest.mark.skipif(platform.machine() not in {"x86_64", "aarch64"}, reason="names of system calls")
-def test_what_a_constructor_waits_for_is_reported_in_every_mode() -> None:
+async def test_what_a_constructor_waits_for_is_reported_in_every_mode() -> None:
     types = [each for each in ContainerType if each is not ContainerType.STOCK]
 
-    async def main() -> None:
-        config = system(
-            *(
-                replace(
-                    container(
-                        each, node(f"in_{each}", "SlowConstructor", seconds=3600.0), timeout=0.5
-                    ),
-                    container_type=each,
-                )
-                for each in types
+    config = system(
+        *(
+            replace(
+                container(each, node(f"in_{each}", "SlowConstructor", seconds=3600.0), timeout=0.5),
+                container_type=each,
             )
+            for each in types
         )
-        async with running_natively(config, limits=Limits(report_interval=0.5)) as sys:
+    )
+    async with running_natively(config, limits=Limits(report_interval=0.5)) as sys:
 
-            def is_seen(name: str) -> bool:
-                reasons = [event.reason for event in sys.node_events(name, NodeState.LOADING)]
-                return any(re.search("; it waits in .*nanosleep", each) for each in reasons)
+        def is_seen(name: str) -> bool:
+            reasons = [event.reason for event in sys.node_events(name, NodeState.LOADING)]
+            return any(re.search("; it waits in .*nanosleep", each) for each in reasons)
 
-            await sys.until(lambda: all(is_seen(f"/in_{each}") for each in types))
-        for each in types:
-            assert len(sys.node_events(f"/in_{each}", NodeState.REQUESTED)) == 1
-
-    asyncio.run(main())
-
-
-def test_fifteen_containers_come_up_together() -> None:
-    async def main() -> None:
-        config = system(
-            *(
-                container(f"c{n}", *(node(f"n{n}_{k}", "Listener") for k in range(4)))
-                for n in range(15)
-            )
-        )
-        async with running_natively(config) as sys:
-            await sys.until_loaded(60)
-            assert all(
-                len(sys.node_events(f"/n{n}_0", NodeState.REQUESTED)) == 1 for n in range(15)
-            )
-        assert sys.outcome is not None
-        assert sys.outcome.exit_code == 0
-
-    asyncio.run(main())
+        await sys.until(lambda: all(is_seen(f"/in_{each}") for each in types))
+    for each in types:
+        assert len(sys.node_events(f"/in_{each}", NodeState.REQUESTED)) == 1
 
 
-def test_ordinary_processes_are_respawned_and_heard() -> None:
-    async def main() -> None:
-        quick = python("quick", "print('hello', flush=True)", on_exit=OnExit.RESTART)
-        steady = python("steady", "import time; time.sleep(600)")
-        async with running_natively(system(quick, steady)) as sys:
-            await sys.until(lambda: bool(sys.view.failed_processes))
-            lines = [e for e in sys.events if isinstance(e, OutputLine)]
-            assert [line.text for line in lines if line.process == "/quick"] == ["hello"] * 3
-            assert all(line.pid for line in lines)
-        assert sys.process_events("/quick")[-1] is ProcessEventKind.GAVE_UP
-        assert sys.process_events("/steady")[-1] is ProcessEventKind.EXITED
-
-    asyncio.run(main())
+async def test_fifteen_containers_come_up_together() -> None:
+    config = system(
+        *(container(f"c{n}", *(node(f"n{n}_{k}", "Listener") for k in range(4))) for n in range(15))
+    )
+    async with running_natively(config) as sys:
+        await sys.until_loaded(60)
+        assert all(len(sys.node_events(f"/n{n}_0", NodeState.REQUESTED)) == 1 for n in range(15))
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 0
 
 
-def test_a_program_that_does_not_exist() -> None:
-    async def main() -> None:
-        nowhere = replace(python("nowhere", ""), command=("no-such-program-of-ours",))
-        package = replace(python("p", ""), command=None, package="no_pkg", executable="exe")
-        async with running_natively(system(nowhere, package)) as sys:
-            await sys.stop.requested.wait()
-        assert sys.process_events("/nowhere") == [ProcessEventKind.GAVE_UP]
-        assert "no-such-program-of-ours" in sys.view.processes["/nowhere"].message
-        assert "no_pkg" in sys.view.processes["/p"].message
+async def test_ordinary_processes_are_respawned_and_heard() -> None:
+    quick = python("quick", "print('hello', flush=True)", on_exit=OnExit.RESTART)
+    steady = python("steady", "import time; time.sleep(600)")
+    async with running_natively(system(quick, steady)) as sys:
+        await sys.until(lambda: bool(sys.view.failed_processes))
+        lines = [e for e in sys.events if isinstance(e, OutputLine)]
+        assert [line.text for line in lines if line.process == "/quick"] == ["hello"] * 3
+        assert all(line.pid for line in lines)
+    assert sys.process_events("/quick")[-1] is ProcessEventKind.GAVE_UP
+    assert sys.process_events("/steady")[-1] is ProcessEventKind.EXITED
 
-    asyncio.run(main())
+
+async def test_a_program_that_does_not_exist() -> None:
+    nowhere = replace(python("nowhere", ""), command=("no-such-program-of-ours",))
+    package = replace(python("p", ""), command=None, package="no_pkg", executable="exe")
+    async with running_natively(system(nowhere, package)) as sys:
+        await sys.stop.requested.wait()
+    assert sys.process_events("/nowhere") == [ProcessEventKind.GAVE_UP]
+    assert "no-such-program-of-ours" in sys.view.processes["/nowhere"].message
+    assert "no_pkg" in sys.view.processes["/p"].message
 
 
-def test_parameters_reach_an_ordinary_process_and_their_files_go() -> None:
-    async def main() -> None:
-        show = python("show", "import sys; print(*sys.argv[1:], sep=chr(10), flush=True)")
-        show = replace(show, name="show", parameters=(parameter("rate", 2.0),))
-        async with running_natively(system(show)) as sys:
-            await sys.stop.requested.wait()
-        arguments = [e.text for e in sys.events if isinstance(e, OutputLine)]
-        file = Path(arguments[arguments.index("--params-file") + 1])
-        assert not file.parent.exists()
-
-    asyncio.run(main())
+async def test_parameters_reach_an_ordinary_process_and_their_files_go() -> None:
+    show = python("show", "import sys; print(*sys.argv[1:], sep=chr(10), flush=True)")
+    show = replace(show, name="show", parameters=(parameter("rate", 2.0),))
+    async with running_natively(system(show)) as sys:
+        await sys.stop.requested.wait()
+    arguments = [e.text for e in sys.events if isinstance(e, OutputLine)]
+    file = Path(arguments[arguments.index("--params-file") + 1])
+    assert not file.parent.exists()
 
 
 @pytest.mark.parametrize("count", [1, 6, 9, 11, 14, 18, 22])
-def test_a_stop_at_any_moment_leaves_nothing(count: int) -> None:
+async def test_a_stop_at_any_moment_leaves_nothing(count: int) -> None:
     class StopAt:
         def __init__(self, stop: StopRequests) -> None:
             self.left = count
@@ -360,24 +324,21 @@ def test_a_stop_at_any_moment_leaves_nothing(count: int) -> None:
             if self.left == 0 and not self.stop.requested.is_set():
                 self.stop.request(signal.SIGTERM)
 
-    async def main() -> None:
-        config = system(
-            container("a", node("talker", "Talker"), node("slow", "SlowConstructor", seconds=60.0)),
-            container("b", node("listener", "Listener")),
-            python("p", "import time; time.sleep(600)"),
-        )
-        config = replace(config, stop=StopLimits(ask=1.0, sigint=0.5, sigterm=0.5))
-        stop = StopRequests()
-        outcome = await run_system(config, Publisher(StopAt(stop)), stop)
-        assert outcome.exit_code == 143
-        assert not psutil.Process().children(recursive=True)
-        left = asyncio.all_tasks() - {asyncio.current_task()}
-        assert not left
-
-    asyncio.run(main())
+    config = system(
+        container("a", node("talker", "Talker"), node("slow", "SlowConstructor", seconds=60.0)),
+        container("b", node("listener", "Listener")),
+        python("p", "import time; time.sleep(600)"),
+    )
+    config = replace(config, stop=StopLimits(ask=1.0, sigint=0.5, sigterm=0.5))
+    stop = StopRequests()
+    outcome = await run_system(config, Publisher(StopAt(stop)), stop)
+    assert outcome.exit_code == 143
+    assert not psutil.Process().children(recursive=True)
+    left = asyncio.all_tasks() - {asyncio.current_task()}
+    assert not left
 
 
-def test_a_stock_container_that_cannot_be_talked_to_is_not_left_running(
+async def test_a_stock_container_that_cannot_be_talked_to_is_not_left_running(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     double = install(tmp_path)
@@ -392,40 +353,24 @@ def test_a_stock_container_that_cannot_be_talked_to_is_not_left_running(
 
     monkeypatch.setattr(StockContainers, "talk_to", lambda *_: 1 / 0)
 
-    async def main() -> None:
-        async with running_natively(system(stock, container("c"))) as sys:
-            await sys.until(lambda: "/s" in sys.gave_up())
-            while any(p.name() == "sleep" for p in psutil.Process().children(recursive=True)):
-                await asyncio.sleep(0.05)
-
-    asyncio.run(main())
+    async with running_natively(system(stock, container("c"))) as sys:
+        await sys.until(lambda: "/s" in sys.gave_up())
+        while any(p.name() == "sleep" for p in psutil.Process().children(recursive=True)):
+            await asyncio.sleep(0.05)
 
 
-def test_a_cancelled_run_leaves_nothing() -> None:
-    async def main() -> None:
-        watching = Running()
-        config = system(container("a", node("talker", "Talker")), python("p", "input()"))
-        task = asyncio.create_task(run_system(config, Publisher(watching), watching.stop))
-        await watching.until_loaded(1)
-        task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await task
-        assert not psutil.Process().children(recursive=True)
-
-    asyncio.run(main())
+async def test_a_cancelled_run_leaves_nothing() -> None:
+    watching = Running()
+    config = system(container("a", node("talker", "Talker")), python("p", "input()"))
+    task = asyncio.create_task(run_system(config, Publisher(watching), watching.stop))
+    await watching.until_loaded(1)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert not psutil.Process().children(recursive=True)
 
 
-def test_the_launcher_says_who_it_is() -> None:
-    async def main() -> None:
-        launcher = await asyncio.to_thread(NativeLauncher.of, system())
-        assert launcher.hello().pid == os.getpid()
-        assert launcher.hello().start_time > 0
-        await launcher.close()
-
-    asyncio.run(main())
-
-
-def test_who_asks_for_a_clean_up_at_the_same_time_shares_it(
+async def test_who_asks_for_a_clean_up_at_the_same_time_shares_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As the containers do that one signal has ended; each look goes through all of /proc."""
@@ -439,15 +384,12 @@ def test_who_asks_for_a_clean_up_at_the_same_time_shares_it(
 
     monkeypatch.setattr("play_launch.runtime.launcher.sweep_shared_memory", sweep)
 
-    async def main() -> None:
-        launcher = await asyncio.to_thread(NativeLauncher.of, system(container("c")))
-        try:
-            await asyncio.gather(*(launcher.clean_up() for _ in range(15)))
-            # The first is under way already when the others ask.
-            assert sweeps <= 2
-            await launcher.clean_up()
-            assert sweeps <= 3
-        finally:
-            await launcher.close()
-
-    asyncio.run(main())
+    launcher = await asyncio.to_thread(NativeLauncher.of, system(container("c")))
+    try:
+        await asyncio.gather(*(launcher.clean_up() for _ in range(15)))
+        # The first is under way already when the others ask.
+        assert sweeps <= 2
+        await launcher.clean_up()
+        assert sweeps <= 3
+    finally:
+        await launcher.close()

@@ -7,7 +7,6 @@ import pytest
 from msgspec.structs import replace
 
 from play_launch.config.model import OnExit, ProcessConfig
-from play_launch.container.messages import Incoming
 from play_launch.process.exit import Exit
 from play_launch.process.lines import OutputCallback
 from play_launch.runtime.publisher import Publisher
@@ -25,7 +24,6 @@ from play_launch.supervisor.view import SystemView
 from .fakes import (
     FakeContainer,
     FakeLauncher,
-    FakeLink,
     FakeProcess,
     Held,
     container,
@@ -167,53 +165,6 @@ async def test_a_sink_that_fails_gets_no_more_events_and_costs_no_member(
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 0
     assert caplog.text.count("Breaks failed and gets no more events") == 1
-
-
-class BrokenLink(FakeLink):
-    """Fails as nobody expects, at its n-th receive; the first one is part of the handshake."""
-
-    def __init__(self, container: FakeContainer, failing: int) -> None:
-        super().__init__(container)
-        self._failing = failing
-
-    async def receive(self) -> Incoming:
-        self._failing -= 1
-        if self._failing == 0:
-            raise RuntimeError("failed to send the request")
-        return await super().receive()
-
-
-@pytest.mark.parametrize(("failing", "gently"), [(1, "SIGINT"), (2, "ask"), (4, "ask")])
-async def test_a_fault_of_our_own_stops_its_container_in_order_and_no_other(
-    failing: int, gently: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    class Broken(FakeContainer):
-        def start(self) -> None:
-            self.link = BrokenLink(self, failing)
-            super().start()
-
-    config = system(container("bad", "x", "y"), container("good", "a"), process("driver"))
-
-    fakes = FakeLauncher(makers={"/bad": [Broken]})
-    async with running(config, fakes) as sys:
-        await sys.until(lambda: "/bad" in sys.gave_up())
-        await sys.until(lambda: ProcessEventKind.EXITED in sys.process_events("/bad"))
-        await sys.until_loaded(1)
-        for each in (fakes.containers["/good"][0].process, fakes.processes["/driver"][0]):
-            assert each.exit is None
-            assert not each.stopped_with
-        sys.stop.request(reason="the test is over")
-    assert sys.launcher.containers["/bad"][0].process.stopped_with == [gently]
-    reason = "internal error (its call stack is in the recording): RuntimeError: failed to send"
-    assert sys.gave_up()["/bad"].startswith(reason)
-    assert sys.container_states("/bad")[-1] is ContainerState.GAVE_UP
-    assert not {node.state for node in sys.view.containers["/bad"].nodes.values()} & {
-        NodeState.LOADED,
-        NodeState.LOADING,
-    }
-    assert sys.outcome is not None
-    assert sys.outcome.exit_code == 1
-    assert "Traceback" in caplog.text
 
 
 async def test_a_fault_of_our_own_stops_its_process_in_order_and_no_other() -> None:
