@@ -131,7 +131,7 @@ containers:
           after: ${env:PL_TEST_PIN}
 nodes:
   - name: uploader
-    command: [sh, -c, "sleep 1000; :", --token, "${arg:api_key}", "${env:PL_TEST_TOKEN}"]
+    command: [sh, -c, "sleep 1000; :", "${arg:api_key}", "a:${env:PL_TEST_TOKEN}@b"]
 """
 KEY = "the-key-of-the-robot"
 PIN = 918273.50
