@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli import options as cli_options
 from play_launch.cli.connection import connected
 from play_launch.cli.output import is_terminal, printable, report, wants_colour
 from play_launch.control.protocol import OperationError
 from play_launch.launch_files.configuration.options import Containers
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 from msgspec.structs import asdict
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.output import counted, fail, report, say
 from play_launch.config.dependency import OnTimeout, StartRule
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, TypeAlias
 import msgspec
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import fail, printable, say
@@ -22,7 +23,6 @@ from play_launch.postmortem.comparison import (
 )
 from play_launch.postmortem.parameters import shortened
 from play_launch.postmortem.timeline import read_timeline
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

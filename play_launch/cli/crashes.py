@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.output import counted, fail, printable, say, warn
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.comparison import CrashGroup, CrashGroups
 from play_launch.postmortem.timeline import read_timeline
 from play_launch.recording.folder import ACTIVE_SUFFIX, part_file
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.output import fail, say, warn
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

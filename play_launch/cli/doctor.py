@@ -10,9 +10,9 @@ from shutil import get_terminal_size
 from textwrap import wrap
 from typing import TYPE_CHECKING, Final
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.output import BOLD, GREEN, RED, RESET, YELLOW, counted, say, wants_colour
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

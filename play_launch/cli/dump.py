@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 from msgspec.structs import replace
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.output import is_passed_on, say
 from play_launch.cli.target import (
@@ -22,7 +23,6 @@ from play_launch.cli.target import (
     target_of,
 )
 from play_launch.launch_files.configuration.options import Containers, Options
-from play_launch.supervisor.outcome import ExitCode
 
 
 def dump(  # noqa: PLR0917 - options, by name

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import counted, duration, fail, printable, say
@@ -17,7 +18,6 @@ from play_launch.postmortem.known_causes import BY_NAME, known_by
 from play_launch.postmortem.parameters import is_of_the_node, shortened
 from play_launch.postmortem.source_lines import located
 from play_launch.postmortem.timeline import read_timeline
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import OutputError, fail, is_passed_on, say, whole_file
@@ -18,7 +19,6 @@ from play_launch.postmortem.export.tables import WRITERS, rows
 from play_launch.postmortem.export.trace import trace_events, write_trace
 from play_launch.postmortem.session import PastSession
 from play_launch.recording.folder import beside
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from play_launch.postmortem.export.tables import TableWriter

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.output import fail, note, printable, redirect_to_devnull, warn
 from play_launch.graph_daemon.contract import DomainError, daemon_address
@@ -23,7 +24,6 @@ from play_launch.graph_daemon.graph_client import (
     NoDaemonError,
     RemoteError,
 )
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -7,13 +7,13 @@ from collections import Counter
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.output import counted, fail, note, printable, say, warn
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.timeline import read_timeline
 from play_launch.recording.bag import PART_METADATA
 from play_launch.recording.recorder import DROPS_METADATA
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from play_launch.postmortem.bag_reader import BagReader

@@ -9,8 +9,8 @@ from typing import Annotated, Final
 
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli.output import fail, is_standard_output, say
-from play_launch.supervisor.outcome import ExitCode
 
 SCHEMA_FILE = Path(__file__).resolve().parents[1] / "config" / "config.schema.json"
 """The schema as it is installed."""

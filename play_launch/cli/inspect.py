@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple
 import msgspec
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.explain import change
 from play_launch.cli.info import report_damage
@@ -27,7 +28,6 @@ from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.console_format import DEBUG, ERROR, FATAL, INFO, WARN
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.output import fail, note
 from play_launch.cli.target import (
@@ -23,7 +24,6 @@ from play_launch.cli.target import (
 )
 from play_launch.deploy.notification import claim
 from play_launch.launch_files.configuration.options import Containers, Options
-from play_launch.supervisor.outcome import ExitCode
 
 
 def launch(  # noqa: PLR0917 - options, by name

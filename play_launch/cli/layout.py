@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import say
 from play_launch.postmortem.export.layouts import (
@@ -17,7 +18,6 @@ from play_launch.postmortem.export.layouts import (
     plotjuggler_layout,
 )
 from play_launch.postmortem.timeline import read_timeline
-from play_launch.supervisor.outcome import ExitCode
 
 Tool = Literal["foxglove", "plotjuggler"]
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.connection import connected
 from play_launch.cli.output import report, warn
 from play_launch.control.protocol import Code, OperationError
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import is_passed_on, say, warn, whole_file
 from play_launch.postmortem.recover import RecoverError, default_output
 from play_launch.postmortem.recover import recover as recover_file
-from play_launch.supervisor.outcome import ExitCode
 
 
 def recover(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.explain import details, headline
 from play_launch.cli.info import report_damage
@@ -16,7 +17,6 @@ from play_launch.postmortem.report.page import render
 from play_launch.postmortem.source_lines import located
 from play_launch.postmortem.timeline import Timeline
 from play_launch.recording.folder import beside
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 import msgspec
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import counted, printable, say, warn
@@ -26,7 +27,6 @@ from play_launch.recording.forms import convert
 from play_launch.supervisor.difference import NOTHING, Snapshot, events_between
 from play_launch.supervisor.events import SubjectKind
 from play_launch.supervisor.inputs import Origin, Over, Raised
-from play_launch.supervisor.outcome import ExitCode
 from play_launch.supervisor.reducer import reduce
 from play_launch.supervisor.world import World
 

@@ -7,10 +7,10 @@ import shlex
 import time
 from typing import TYPE_CHECKING, Any, Final
 
+from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.connection import connected
 from play_launch.cli.output import clock, duration, printable, say, size
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

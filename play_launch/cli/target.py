@@ -10,9 +10,9 @@ import typer
 from msgspec import Struct
 from msgspec.structs import asdict
 
+from play_launch import ExitCode
 from play_launch.cli.output import counted, fail, is_standard_output, note, say, write_file
 from play_launch.launch_files.configuration.options import Containers
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

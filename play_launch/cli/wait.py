@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli import options as cli_options
 from play_launch.cli.connection import connected
 from play_launch.cli.output import report
-from play_launch.supervisor.outcome import ExitCode
 
 if TYPE_CHECKING:
     from play_launch.control.client import ControlClient

@@ -1,4 +1,4 @@
-"""Outcomes as codes: exit codes, causes of states and what follows; decisions about restarts.
+"""Outcomes as codes: causes of states and what follows; decisions about restarts.
 
 The number of restarts within a sliding window is limited, as by OTP's supervisors and systemd. The
 delay grows exponentially and has a random part, so that processes that died together do not
@@ -33,21 +33,6 @@ CONTEXT_EXIT_CODE: Final = 79
 """Of a container whose nodes share one process, when one of them shut the ROS context down."""
 ENDING_SIGNALS: Final = frozenset({signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL})
 """Signals of a stop, by the supervisor or an operator: an exit by one of them is no crash."""
-
-
-class ExitCode(IntEnum):
-    """Exit codes of all commands; docs/exit-codes.md explains them."""
-
-    OK = 0
-    NODE_FAILED = 1
-    """Failure: of a node, of a request; or `diff`, `compare`, `explain` found something."""
-    USAGE = 2
-    NODES_MISSING = 3
-    """Something that was declared does not run, and has not failed."""
-    TIMEOUT = 4
-    DAMAGED = 5
-    """A recording could not be read completely."""
-    SIGNAL_BASE = 128
 
 
 class Cause(IntEnum):

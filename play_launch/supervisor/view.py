@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from msgspec import Struct, field
 from msgspec.structs import replace
 
+from play_launch import ExitCode
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import (
     UNDER_WAY,
@@ -29,7 +30,7 @@ from play_launch.supervisor.events import (
     SubjectKind,
     Withdrawn,
 )
-from play_launch.supervisor.outcome import ENDING_SIGNALS, ExitCode
+from play_launch.supervisor.outcome import ENDING_SIGNALS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from play_launch import ExitCode
 from play_launch.cli.app import COMMANDS, app, command_of
 from play_launch.container import ros
-from play_launch.supervisor.outcome import ExitCode
 from tests.support.replay import COMMAND
 
 runner = CliRunner()
@@ -27,7 +27,9 @@ containers:
       - {package: p, plugin: "p::N", name: m}
 """
 _READERS = ("inspect", "report", "explain", "crashes", "compare", "rerun", "recover", "export")
-USED_BY = dict.fromkeys((*_READERS, "layout"), ("play_launch.cli.info",))
+USED_BY = dict.fromkeys((*_READERS, "layout"), ("play_launch.cli.info",)) | dict.fromkeys(
+    ("inspect", "report"), ("play_launch.cli.info", "play_launch.cli.explain")
+)
 """Modules of other commands that a command uses."""
 BAD = "version: 1\ncontainers:\n  - nmae: c\n"
 

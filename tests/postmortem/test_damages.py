@@ -22,6 +22,7 @@ import zstandard
 from mcap.opcode import Opcode
 from msgspec.structs import replace
 
+from play_launch import UserError
 from play_launch.cli.compare import compare
 from play_launch.cli.explain import explain
 from play_launch.cli.info import info
@@ -174,6 +175,9 @@ def call(verb: str, data: bytes, folder: Path) -> Result:
             code = VERBS[verb].run(bag, made)
         except SystemExit as end:
             code = int(end.code or 0)
+        except UserError as error:
+            code = error.exit_code
+            errors.write(f"error: {error}\n")
     return Result(code, output.getvalue(), errors.getvalue())
 
 

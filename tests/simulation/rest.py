@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
+from play_launch import ExitCode
 from play_launch.config.model import Autostart, ContainerConfig, OnExit
 from play_launch.supervisor.events import (
     UNDER_WAY,
@@ -15,7 +16,6 @@ from play_launch.supervisor.events import (
     NodeState,
     ProcessEventKind,
 )
-from play_launch.supervisor.outcome import ExitCode
 from play_launch.supervisor.view import exit_code, has_failed
 from play_launch.supervisor.world import Phase
 

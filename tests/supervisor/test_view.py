@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from play_launch import ExitCode
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import (
     ContainerState,
@@ -22,7 +23,6 @@ from play_launch.supervisor.events import (
     SubjectKind,
     Withdrawn,
 )
-from play_launch.supervisor.outcome import ExitCode
 from play_launch.supervisor.view import (
     SystemView,
     crashed_while_stopped,
