@@ -2,6 +2,7 @@
 
 #include <dlfcn.h>
 #include <pthread.h>
+#include <signal.h>
 #include <sys/syscall.h>
 #include <threads.h>
 #include <unistd.h>
@@ -84,6 +85,24 @@ extern "C" {
   end_container("exit()");
   next_exit.get()(status);
   std::abort();
+}
+
+/// The C library's takes a lock for its first steps, in the memory that all nodes share: after a
+/// node that was ended there, every other abort() of the container would wait for ever.
+[[noreturn, gnu::visibility("default")]] void abort() noexcept {
+  sigset_t only;
+  ::sigemptyset(&only);
+  ::sigaddset(&only, SIGABRT);
+  ::pthread_sigmask(SIG_UNBLOCK, &only, nullptr);
+  ::syscall(SYS_tgkill, ::getpid(), ::gettid(), SIGABRT);
+  // It is ignored, or its handler has returned.
+  struct sigaction plain{};
+  plain.sa_handler = SIG_DFL;
+  ::sigaction(SIGABRT, &plain, nullptr);
+  ::syscall(SYS_tgkill, ::getpid(), ::gettid(), SIGABRT);
+  while (true) {
+    ::_exit(127);
+  }
 }
 
 [[noreturn, gnu::visibility("default")]] void quick_exit(int status) noexcept {

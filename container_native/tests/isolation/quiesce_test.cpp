@@ -370,6 +370,27 @@ void test_destroying_what_the_dead_left() {
   }
 }
 
+/// A thread that is ended within abort() holds nothing that another one waits for.
+void test_abort_after_one_that_was_cut_off() {
+  Outcome cut_off;
+  run_patiently(cut_off, [](Program&) {
+    sigset_t only;
+    ::sigemptyset(&only);
+    ::sigaddset(&only, SIGABRT);
+    ::pthread_sigmask(SIG_BLOCK, &only, nullptr);
+    ::raise(SIGABRT);  // is delivered in abort(), when that unblocks it
+    std::abort();
+    return 0;
+  });
+  CHECK(cut_off.end.signal == SIGABRT);
+  Outcome next;
+  run_patiently(next, [](Program&) {
+    std::thread([] { std::abort(); }).join();  // a recursive lock would let the same thread in
+    return 0;
+  });
+  CHECK(next.end.signal == SIGABRT);
+}
+
 }  // namespace
 
 int main() {
@@ -389,5 +410,6 @@ int main() {
   test_other_ends();
   test_threads_that_block_all_signals();
   test_destroying_what_the_dead_left();
+  test_abort_after_one_that_was_cut_off();
   return 0;
 }

@@ -42,11 +42,11 @@ constexpr std::array kCppRuntime{"libstdc++"sv, "libgcc_s"sv, "libm.so"sv, "libm
                                  "linux-vdso"sv};
 constexpr std::array kCLibrary{"libc.so"sv, "libc-"sv, "libpthread"sv};
 
-/// Functions of other libraries that this program defines around them (overrides/owned_lock.cpp,
-/// overrides/thread_guard.cpp), and what they call on the way there in a build without
-/// optimisation.
-constexpr std::array kLocks{"pthread_mutex_"sv, "pthread_once"sv, "__cxa_guard_"sv,
-                            "_ZN11play_launch12NextFunction"sv};
+/// Functions of other libraries that this program defines in their place (overrides/owned_lock.cpp,
+/// thread_guard.cpp, exit_guard.cpp), and what they call on the way there in a build without
+/// optimisation: their caller decides.
+constexpr std::array kOverrides{"pthread_mutex_"sv, "pthread_once"sv, "__cxa_guard_"sv, "abort"sv,
+                                "_ZN11play_launch12NextFunction"sv};
 
 /// Functions that templates of the middleware become in a user's library; while they run they may
 /// hold the locks of delivery by pointer.
@@ -245,7 +245,7 @@ Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
   if (begins_with_any(function, kCppHeaders)) {
     return begins_with_any(function, kCallers) ? Place::harmless : Place::header;
   }
-  if (is_program && begins_with_any(function, kLocks)) {
+  if (is_program && begins_with_any(function, kOverrides)) {
     return innermost ? Place::inside : Place::neutral;
   }
   // This program is no node's; children take none of its locks but those in docs/isolation.md.
