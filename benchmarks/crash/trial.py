@@ -21,7 +21,7 @@ from benchmarks.figures import Figures
 from benchmarks.systems import Node, system
 from play_launch.config.model import ReplayConfig
 from play_launch.runtime.publisher import Publisher
-from play_launch.runtime.run import Outcome, run_system
+from play_launch.runtime.run import RunOutcome, run_system
 from play_launch.runtime.signals import StopRequests
 from play_launch.supervisor.events import (
     ComponentEvent,
@@ -330,7 +330,7 @@ async def run_trial(
 
 
 async def _accompany(
-    trial: Trial, running: asyncio.Future[Outcome], limit: float, report: Callable[[str], None]
+    trial: Trial, running: asyncio.Future[RunOutcome], limit: float, report: Callable[[str], None]
 ) -> bool:
     begin = time.monotonic()
     while not running.done():

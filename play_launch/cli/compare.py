@@ -15,9 +15,9 @@ from play_launch.cli.output import fail, printable, say
 from play_launch.postmortem import comparison
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.comparison import (
-    Change,
     Comparison,
     CrashChange,
+    Deviation,
     Measure,
     ParameterChange,
 )
@@ -129,7 +129,7 @@ def _words(found: Comparison) -> Words:
     )
 
 
-def _change(change: Change) -> str:
+def _change(change: Deviation) -> str:
     scale = 1e-6 if change.measure is Measure.PEAK_MEMORY else 1.0
     words = _SAYS[change.measure].format(change.before * scale, change.after * scale)
     return f"{change.who} {words}"

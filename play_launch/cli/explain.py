@@ -22,7 +22,7 @@ from play_launch.postmortem.timeline import read_timeline
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from play_launch.postmortem.declared import Place
+    from play_launch.postmortem.declared import DeclaredPlace
     from play_launch.postmortem.findings import Finding
     from play_launch.postmortem.parameters import Changed, ParametersOfALife
     from play_launch.postmortem.timeline import Timeline
@@ -149,7 +149,7 @@ def _cause(finding: Finding) -> str:
     return f"{cause}{quoted}; that is, {known.means}"
 
 
-def _place(place: Place) -> str:
+def _place(place: DeclaredPlace) -> str:
     parts = []
     if place.frame is not None:
         function = plain_function(place.frame.function)

@@ -23,7 +23,7 @@ from play_launch.control.event_words import event_object, names_of
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
 from play_launch.postmortem.events import UnreadableEventError
 from play_launch.postmortem.parameters import TOPICS as PARAMETER_TOPICS
-from play_launch.postmortem.parameters import Parameters, Said, shortened
+from play_launch.postmortem.parameters import Parameters, RecordedParameter, shortened
 from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.console_format import DEBUG, ERROR, FATAL, INFO, WARN
@@ -172,7 +172,7 @@ def _end(file: Path) -> int:
 
 def _happened(
     message: Message, session: PastSession, parameters: Parameters
-) -> Happened | Said | None:
+) -> Happened | RecordedParameter | None:
     if message.topic.name not in PARAMETER_TOPICS:
         return session.take(message)
     try:
@@ -182,18 +182,23 @@ def _happened(
         return None
 
 
-def _concerns(happened: Happened | Said, patterns: tuple[str, ...]) -> bool:
+def _concerns(happened: Happened | RecordedParameter, patterns: tuple[str, ...]) -> bool:
     if not patterns:
         return True
-    names = [happened.node] if isinstance(happened, Said) else names_of(happened.event)
+    names = [happened.node] if isinstance(happened, RecordedParameter) else names_of(happened.event)
     return any(fnmatchcase(name, pattern) for name in names for pattern in patterns)
 
 
 def _shown(
-    happened: Happened | Said, log_time: int, since: float, level: int, *, as_json: bool
+    happened: Happened | RecordedParameter,
+    log_time: int,
+    since: float,
+    level: int,
+    *,
+    as_json: bool,
 ) -> Iterator[str]:
     line: DisplayLine | None
-    if isinstance(happened, Said):
+    if isinstance(happened, RecordedParameter):
         line, values = _of_parameters(happened, log_time)
     else:
         line, values = _line(happened), event_object(happened.event)
@@ -207,7 +212,7 @@ def _shown(
         yield f"{since:10.3f} [{line.source}] {printable(text)}"
 
 
-def _of_parameters(said: Said, log_time: int) -> tuple[DisplayLine, dict[str, object]]:
+def _of_parameters(said: RecordedParameter, log_time: int) -> tuple[DisplayLine, dict[str, object]]:
     values: dict[str, object] = {"event": "parameters", "stamp_ns": log_time}
     values |= msgspec.to_builtins(said._asdict())
     if said.error:

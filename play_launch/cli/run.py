@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from play_launch.deploy.notification import ServiceManager
     from play_launch.recording.limits import RecordingSummary
     from play_launch.recording.recorder import Recorder
-    from play_launch.runtime.run import Outcome
+    from play_launch.runtime.run import RunOutcome
     from play_launch.supervisor.events import LogRecord, RunEvent, SubjectKind
     from play_launch.supervisor.view import SystemView
 
@@ -197,7 +197,7 @@ async def _until_the_end(
     options: RunOptions,
     *,
     control: ControlSocket,
-) -> Outcome:
+) -> RunOutcome:
     from play_launch.runtime.publisher import Publisher  # noqa: PLC0415
     from play_launch.runtime.run import run_system  # noqa: PLC0415
 
@@ -285,7 +285,7 @@ def _say(text: str) -> None:
 
 
 def _sum_up(
-    outcome: Outcome, recording: RecordingSummary, used: GroupTotals, options: RunOptions
+    outcome: RunOutcome, recording: RecordingSummary, used: GroupTotals, options: RunOptions
 ) -> None:
     from play_launch.cli.show.summary import Summary  # noqa: PLC0415
 

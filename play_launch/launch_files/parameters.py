@@ -17,7 +17,7 @@ import yaml
 from play_launch.config.model import FOR_ALL, ParameterType, ParameterValue
 from play_launch.config.resolve.parameter_files import matches
 from play_launch.launch_files.find import UnreadableError, text_of
-from play_launch.launch_files.records import Parameter, Process, Section, Values, parameter
+from play_launch.launch_files.records import LaunchedProcess, Parameter, Section, Values, parameter
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -210,7 +210,7 @@ def take_sections(unit: Unit, sections: Iterable[Section]) -> None:
         if section.pattern != name and section.parameters:
             for_others.append(section)
     unit.parameters = list(own.values())
-    if isinstance(unit, Process):
+    if isinstance(unit, LaunchedProcess):
         unit.for_others = for_others
 
 

@@ -40,7 +40,7 @@ class Place(Struct, frozen=True, omit_defaults=True):
         return f"{self.file}:{self.line}" if self.line else self.file
 
 
-class Origin(Struct, frozen=True, omit_defaults=True):
+class LaunchOrigin(Struct, frozen=True, omit_defaults=True):
     """Where something stands, and the includes that led there, the nearest one first."""
 
     place: Place = Place()
@@ -159,7 +159,7 @@ class _Unit(Struct, kw_only=True, omit_defaults=True):
     """
 
     id: str = ""
-    origin: Origin = Origin()
+    origin: LaunchOrigin = LaunchOrigin()
     where: str = ""
     package: str = ""
     name: str = ""
@@ -183,7 +183,7 @@ class _Unit(Struct, kw_only=True, omit_defaults=True):
         return self.where or " ".join(filter(None, (str(self.origin), self.full_name)))
 
 
-class Process(_Unit, kw_only=True, tag="process", omit_defaults=True):
+class LaunchedProcess(_Unit, kw_only=True, tag="process", omit_defaults=True):
     """A process: an ordinary command, a node, or a container.
 
     `for_others` is what other nodes in the process get of `sources`, in rcl's order: all sections
@@ -228,7 +228,7 @@ class Composable(_Unit, kw_only=True, tag="composable", omit_defaults=True):
     extra_arguments: list[Parameter] = field(default_factory=list)
 
 
-Unit: TypeAlias = Process | Composable
+Unit: TypeAlias = LaunchedProcess | Composable
 
 
 class Loss(Struct, frozen=True, omit_defaults=True):
@@ -249,7 +249,7 @@ class Argument(Struct, frozen=True, omit_defaults=True):
     default: str | None = None
     description: str = ""
     choices: tuple[str, ...] = ()
-    origin: Origin = Origin()
+    origin: LaunchOrigin = LaunchOrigin()
 
 
 class TemporaryFile(Struct, frozen=True):
@@ -275,14 +275,14 @@ class Description(Struct, tag="description", omit_defaults=True):
     temporary: list[TemporaryFile] = field(default_factory=list)
 
 
-class Failure(Struct, frozen=True, tag="failure", omit_defaults=True):
+class EvaluationFailure(Struct, frozen=True, tag="failure", omit_defaults=True):
     """Why a launch file could not be evaluated: the first error, and where.
 
     `logged` is what ROS's launch said about it, which may name more.
     """
 
     message: str
-    origin: Origin = Origin()
+    origin: LaunchOrigin = LaunchOrigin()
     logged: tuple[str, ...] = ()
 
     def __str__(self) -> str:
@@ -296,7 +296,7 @@ class Failure(Struct, frozen=True, tag="failure", omit_defaults=True):
 class LaunchFileError(UserError):
     """A launch file cannot be evaluated; the text is that of the failure."""
 
-    def __init__(self, failure: Failure) -> None:
+    def __init__(self, failure: EvaluationFailure) -> None:
         super().__init__(str(failure))
         self.failure = failure
 
@@ -318,15 +318,15 @@ class Job(Struct, frozen=True, kw_only=True):
 
 class _Envelope(Struct):
     format: int
-    outcome: Description | Failure
+    outcome: Description | EvaluationFailure
 
 
-def encode(outcome: Description | Failure) -> bytes:
+def encode(outcome: Description | EvaluationFailure) -> bytes:
     """Return it as JSON."""
     return msgspec.json.encode(_Envelope(FORMAT, outcome))
 
 
-def decode(content: bytes) -> Description | Failure:
+def decode(content: bytes) -> Description | EvaluationFailure:
     """Read what `encode` wrote.
 
     Raises:

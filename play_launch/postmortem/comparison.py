@@ -46,7 +46,7 @@ RULES: Final[Mapping[Measure, Worse]] = {
 """Smaller differences come from one run of the same system to the next."""
 
 
-class Change(Struct, frozen=True):
+class Deviation(Struct, frozen=True):
     """One number in both sessions."""
 
     measure: Measure
@@ -89,7 +89,7 @@ class ParameterChange(Struct, frozen=True):
 class Comparison(Struct, frozen=True):
     """What differs from the first session to the second."""
 
-    changes: tuple[Change, ...]
+    changes: tuple[Deviation, ...]
     """All numbers that both have."""
     new_crashes: tuple[CrashChange, ...]
     """Of a signature that the first session does not have."""
@@ -131,11 +131,11 @@ def compare(first: Timeline, second: Timeline) -> Comparison:
     )
 
 
-def _changes(first: Timeline, second: Timeline) -> Iterator[Change]:
+def _changes(first: Timeline, second: Timeline) -> Iterator[Deviation]:
     for measure in Measure:
         before, after = _numbers(first, measure), _numbers(second, measure)
         for who in sorted(before.keys() & after.keys()):
-            yield Change(measure, who, before[who], after[who])
+            yield Deviation(measure, who, before[who], after[who])
 
 
 def _numbers(timeline: Timeline, measure: Measure) -> Mapping[str, float]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 RESOLVED: str = "resolved_config.json"
 
 
-class Place(Struct, frozen=True, kw_only=True):
+class DeclaredPlace(Struct, frozen=True, kw_only=True):
     """Where something happened; what is not known is empty."""
 
     frame: Frame | None = None
@@ -33,7 +33,7 @@ class Place(Struct, frozen=True, kw_only=True):
     """Of an ordinary process or a container."""
 
 
-def declared_places(attachments: Mapping[str, Attachment]) -> dict[str, Place]:
+def declared_places(attachments: Mapping[str, Attachment]) -> dict[str, DeclaredPlace]:
     """Give the place of each declared thing, by its key; empty where it cannot be read."""
     try:
         config = json.loads(attachments[RESOLVED].data)
@@ -42,15 +42,15 @@ def declared_places(attachments: Mapping[str, Attachment]) -> dict[str, Place]:
         return {}
 
 
-def _places(config: dict[str, Any]) -> Iterator[tuple[str, Place]]:
+def _places(config: dict[str, Any]) -> Iterator[tuple[str, DeclaredPlace]]:
     source = str(config.get("source", ""))
     for container in config.get("containers", ()):
         name = container["full_name"]
-        yield name, Place(config=_line(container, source))
+        yield name, DeclaredPlace(config=_line(container, source))
         for node in container.get("composable_nodes", ()):
             yield (
                 node["key"],
-                Place(
+                DeclaredPlace(
                     package=node["package"],
                     plugin=node["plugin"],
                     container=name,
@@ -61,7 +61,7 @@ def _places(config: dict[str, Any]) -> Iterator[tuple[str, Place]]:
         command = process.get("command") or ()
         yield (
             process["full_name"],
-            Place(
+            DeclaredPlace(
                 package=process.get("package") or "",
                 config=_line(process, source),
                 command=tuple(map(str, command)),

@@ -10,7 +10,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.postmortem import detect
-from play_launch.postmortem.declared import Place, declared_places
+from play_launch.postmortem.declared import DeclaredPlace, declared_places
 from play_launch.postmortem.frames import Frame, Signature  # noqa: TC001 - fields of a Struct
 from play_launch.postmortem.parameters import ParametersOfALife  # noqa: TC001 - as above
 from play_launch.postmortem.samples import Trend  # noqa: TC001 - as above
@@ -41,7 +41,7 @@ class Finding(Struct, frozen=True, kw_only=True):
     cause: str = ""
     known: str = ""
     """Name of the well-known cause, see `play_launch.postmortem.known_causes`."""
-    place: Place = Place()
+    place: DeclaredPlace = DeclaredPlace()
     frames: tuple[Frame, ...] = ()
     lines: tuple[SourceLine | None, ...] = ()
     """Of each frame; empty before they are looked up."""
@@ -96,12 +96,12 @@ def _modules() -> Iterator[Any]:
 
 
 def _place(
-    finding: Finding, places: dict[str, Place], commands: dict[str, tuple[str, ...]]
-) -> Place:
+    finding: Finding, places: dict[str, DeclaredPlace], commands: dict[str, tuple[str, ...]]
+) -> DeclaredPlace:
     """Complete a place by what the configuration declares, and by the command that was run."""
     key, known = finding.key, finding.place
-    declared = places.get(key, Place())
-    return Place(
+    declared = places.get(key, DeclaredPlace())
+    return DeclaredPlace(
         frame=known.frame,
         package=declared.package or known.package,
         plugin=declared.plugin or known.plugin,

@@ -95,14 +95,14 @@ _KILLED: Final = "(SIGKILL)"
 BY_NAME: Final = {each.name: each for each in KNOWN_CAUSES}
 
 
-class Said(NamedTuple):
+class MatchedLine(NamedTuple):
     """A known cause, and the text that gives it away."""
 
     known: KnownCause
     text: str
 
 
-def known_by(cause: str, last_lines: Sequence[str]) -> Said | None:
+def known_by(cause: str, last_lines: Sequence[str]) -> MatchedLine | None:
     """Find the known cause that the reason names, else the latest line that names one.
 
     Lines explain how a program failed. A SIGKILL comes from another process, whatever the
@@ -112,7 +112,7 @@ def known_by(cause: str, last_lines: Sequence[str]) -> Said | None:
     for text in (cause, *lines):
         for each in KNOWN_CAUSES:
             if each.says.search(text):
-                return Said(each, text)
+                return MatchedLine(each, text)
     return None
 
 

@@ -82,7 +82,7 @@ class KnownParameters(Struct):
         return ParametersOfALife(tuple(values), changes)
 
 
-class Said(NamedTuple):
+class RecordedParameter(NamedTuple):
     """What one message says about the parameters of a node."""
 
     node: str
@@ -104,7 +104,7 @@ class Parameters:
         self.nodes: dict[str, KnownParameters] = {}
         """By full name."""
 
-    def take(self, message: Message) -> Said | None:
+    def take(self, message: Message) -> RecordedParameter | None:
         """Take a message of one of `TOPICS` and give what is in it; None for those of other types.
 
         Raises:
@@ -120,16 +120,16 @@ class Parameters:
             reason = f"a message of {message.topic.name} cannot be read: {error}"
             raise UnreadableEventError(reason) from error
 
-    def _answer(self, fields: Mapping[str, Any], at_ns: int) -> Said:
+    def _answer(self, fields: Mapping[str, Any], at_ns: int) -> RecordedParameter:
         values = _values(fields["parameters"])
         node = self.nodes.setdefault(fields["node"], KnownParameters())
         node.error = fields["error"]
         if node.error:
-            return Said(fields["node"], error=node.error)
+            return RecordedParameter(fields["node"], error=node.error)
         node.asked_ns, node.values = at_ns, values
-        return Said(fields["node"], dict(values))
+        return RecordedParameter(fields["node"], dict(values))
 
-    def _event(self, fields: Mapping[str, Any], at_ns: int) -> Said:
+    def _event(self, fields: Mapping[str, Any], at_ns: int) -> RecordedParameter:
         changed: dict[str, str | None] = dict(_values(fields["changed_parameters"]))
         changed |= dict.fromkeys(each["name"] for each in fields["deleted_parameters"])
         node = self.nodes.setdefault(fields["node"], KnownParameters())
@@ -145,7 +145,7 @@ class Parameters:
         room = max(0, _MOST_CHANGES - len(node.changes))
         node.changes += found[:room]
         node.further_changes += len(found[room:])
-        return Said(fields["node"], changes=found)
+        return RecordedParameter(fields["node"], changes=found)
 
 
 def _values(parameters: Iterable[Mapping[str, Any]]) -> dict[str, str]:

@@ -24,7 +24,7 @@ from play_launch.postmortem.units import (
     Failure,
     FailureEvent,
     Fault,
-    Groups,
+    GroupUsage,
     Unit,
 )
 from play_launch.postmortem.version1 import Version1
@@ -80,7 +80,7 @@ class Timeline:
         self.events: list[FailureEvent] = []
         self.events_left_out = self.changes_left_out = 0
         self.interruptions: list[RecordingInterrupted] = []
-        self.samples, self.groups = Samples(), Groups()
+        self.samples, self.groups = Samples(), GroupUsage()
         self.parameters = Parameters()
         self._lines = LastLines()
         self._version1 = Version1()

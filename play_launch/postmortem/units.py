@@ -267,7 +267,7 @@ class GroupUse(Struct):
             self.refused_times.append(at)
 
 
-class Groups:
+class GroupUsage:
     """What the control groups of a session were kept from, by the keys of their units."""
 
     def __init__(self) -> None:

@@ -11,7 +11,7 @@ from play_launch.config.node_key import NodeKey
 from play_launch.runtime.commands import StartError
 from play_launch.supervisor.change import declared
 from play_launch.supervisor.inputs import ChangeRequested, ParametersSet
-from play_launch.supervisor.plan import Applied, Kind, Need, Result, StepOutcome, after, plan
+from play_launch.supervisor.plan import Applied, Need, PlanKind, Result, StepOutcome, after, plan
 from play_launch.supervisor.view import absent
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ class Applying:
         config = declared(self._target, step)
         chosen = [each for each in config.parameters if each.name in names]  # type: ignore[union-attr]
         member = node = step.name
-        if step.kind is Kind.COMPONENT:
+        if step.kind is PlanKind.COMPONENT:
             key = NodeKey.parsed(step.name)
             member, node = key.container, key.name
         containers, processes = self._target.containers, self._target.nodes

@@ -246,7 +246,7 @@ def _key(config: Config) -> Key:
     return config.full_name, own, config.process_parameters
 
 
-class Groups(SessionGroups):
+class MemberGroups(SessionGroups):
     """Control groups of the session of this process; there are none yet."""
 
     def __init__(self, publish: Callable[[GroupSample], None]) -> None:

@@ -40,8 +40,8 @@ from play_launch.process.stop import StopPolicy, stop
 from play_launch.recording.facts import OURSELVES, package_version
 from play_launch.ros.fastdds.shared_memory import sweep_command, sweep_shared_memory
 from play_launch.runtime.commands import (
-    Groups,
     Machine,
+    MemberGroups,
     ParameterFiles,
     StartError,
     allocator_for,
@@ -164,7 +164,7 @@ class NativeLauncher:
         self._policy = policy
         self._parameters = parameters
         self._sweeps = Shared(self._sweep)
-        self.groups = Groups(publish)
+        self.groups = MemberGroups(publish)
         self._hello = Hello(
             version=package_version(OURSELVES) or "unknown",
             pid=os.getpid(),

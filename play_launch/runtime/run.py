@@ -30,7 +30,7 @@ _STARTS: Final = max(16, 4 * (os.cpu_count() or 1))
 docs/decisions/start.md. Hundreds would outlast the limits that each has for its start."""
 
 
-class Outcome(Struct, frozen=True, kw_only=True):
+class RunOutcome(Struct, frozen=True, kw_only=True):
     """How a run ended."""
 
     exit_code: int
@@ -55,7 +55,7 @@ async def run_system(
     ros: RosAccess | None = None,
     on_begin: Callable[[System], None] = lambda _system: None,
     decisions: DecisionLog | None = None,
-) -> Outcome:
+) -> RunOutcome:
     """Run a system from its start to the end of its last process.
 
     It ends on a stop request, after the configured duration, or when nothing is left that could
@@ -101,7 +101,7 @@ async def run_system(
             if decisions is not None:
                 decisions.add(time(), Over())
         view = publisher.view_before_stop
-        return Outcome(
+        return RunOutcome(
             exit_code=exit_code(view, publisher.view, stop.signum),
             view=view,
             final_view=publisher.view,

@@ -15,7 +15,7 @@ from play_launch.config.model import ContainerConfig
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import NodeState
 from play_launch.supervisor.inputs import ChangeEnded, Raised, SetParameters
-from play_launch.supervisor.plan import Action, Kind, Need, Result, StepOutcome
+from play_launch.supervisor.plan import Need, PlanAction, PlanKind, Result, StepOutcome
 from play_launch.supervisor.view import FAILED_STATES, described
 from play_launch.supervisor.world import INACTIVE, STATE_OF_PHASE, Goal, Node, Phase, Process, Stage
 
@@ -88,7 +88,7 @@ def parameters_set(step: Reduction, said: ParametersSet) -> None:
         _adopt(step.world, change.target, said.step)
         _end(step, found)
         return
-    is_process = said.step.kind is Kind.PROCESS
+    is_process = said.step.kind is PlanKind.PROCESS
     note = f"{'restarted' if is_process else 'reloaded'}: {said.refusal}"
     step.world.change = replace(change, open=(*others, replace(found, asks=False, note=note)))
     _replace(step.world, change.target, said.step)
@@ -174,11 +174,11 @@ def next_deadline(world: World) -> float | None:
 
 def _begin(step: Reduction, target: ReplayConfig, plan_step: Step) -> OpenStep:
     opened = OpenStep(plan_step, step.now)
-    if plan_step.kind is Kind.SESSION:
+    if plan_step.kind is PlanKind.SESSION:
         return opened
-    if plan_step.action is Action.REMOVE:
+    if plan_step.action is PlanAction.REMOVE:
         _remove(step.world, plan_step)
-    elif plan_step.action in {Action.ADOPT, Action.SET}:
+    elif plan_step.action in {PlanAction.ADOPT, PlanAction.SET}:
         if any(change.need is Need.SET for change in plan_step.changes):
             step.effects.append(SetParameters(plan_step))
             return replace(opened, asks=True)
@@ -189,7 +189,7 @@ def _begin(step: Reduction, target: ReplayConfig, plan_step: Step) -> OpenStep:
 
 
 def _remove(world: World, plan_step: Step) -> None:
-    if plan_step.kind is Kind.COMPONENT:
+    if plan_step.kind is PlanKind.COMPONENT:
         if (node := world.nodes.get(NodeKey.parsed(plan_step.name))) is not None:
             world.put(node, is_removed=True)
     elif (process := world.processes.get(plan_step.name)) is not None:
@@ -198,7 +198,7 @@ def _remove(world: World, plan_step: Step) -> None:
 
 def _adopt(world: World, target: ReplayConfig, plan_step: Step) -> None:
     config: Any = declared(target, plan_step)
-    if plan_step.kind is Kind.COMPONENT:
+    if plan_step.kind is PlanKind.COMPONENT:
         node = world.nodes[NodeKey.parsed(plan_step.name)]
         world.put(node, config=config, stage=Stage.TRUSTED, deaths=0)
     else:
@@ -208,11 +208,11 @@ def _adopt(world: World, target: ReplayConfig, plan_step: Step) -> None:
 def _replace(world: World, target: ReplayConfig, plan_step: Step) -> None:
     """Have one run that is configured as in the target, anew if it runs."""
     config: Any = declared(target, plan_step)
-    nodes = config.composable_nodes if plan_step.kind is Kind.CONTAINER else ()
+    nodes = config.composable_nodes if plan_step.kind is PlanKind.CONTAINER else ()
     if world.change is not None:
         recalled = {plan_step.name, *(str(node.key) for node in nodes)}
         world.dismissed -= recalled & world.change.recalls
-    if plan_step.kind is Kind.COMPONENT:
+    if plan_step.kind is PlanKind.COMPONENT:
         _replace_node(world, NodeKey.parsed(plan_step.name), config)
         return
     process = world.processes.get(plan_step.name)
@@ -252,14 +252,14 @@ def declared(
 ) -> ContainerConfig | ProcessConfig | ComposableNodeConfig:
     """Find what a step is about in the new configuration."""
     for container in target.containers:
-        if plan_step.kind is Kind.CONTAINER and container.full_name == plan_step.name:
+        if plan_step.kind is PlanKind.CONTAINER and container.full_name == plan_step.name:
             return container
-        if plan_step.kind is Kind.COMPONENT:
+        if plan_step.kind is PlanKind.COMPONENT:
             for node in container.composable_nodes:
                 if str(node.key) == plan_step.name:
                     return node
     for process in target.nodes:
-        if plan_step.kind is Kind.PROCESS and process.full_name == plan_step.name:
+        if plan_step.kind is PlanKind.PROCESS and process.full_name == plan_step.name:
             return process
     raise KeyError(plan_step.name)
 
@@ -269,20 +269,20 @@ def declared(
 
 def _settled(world: World, plan_step: Step) -> str | None:
     """Give why what a step is about is not up; empty: it is, or is gone; None: not yet known."""
-    if plan_step.kind is Kind.SESSION:
+    if plan_step.kind is PlanKind.SESSION:
         return ""
-    if plan_step.name in world.dismissed and plan_step.action is not Action.REMOVE:
+    if plan_step.name in world.dismissed and plan_step.action is not PlanAction.REMOVE:
         return ""  # an operator stopped it meanwhile
-    if plan_step.kind is Kind.COMPONENT:
+    if plan_step.kind is PlanKind.COMPONENT:
         return _node_settled(world, plan_step)
     process = world.processes.get(plan_step.name)
-    if plan_step.action is Action.REMOVE:
+    if plan_step.action is PlanAction.REMOVE:
         if process is None:
             return ""
         return "its process does not die, not even of SIGKILL" if process.is_stuck else None
     if process is None:
         return "it is no longer declared"
-    if plan_step.action is Action.ADOPT and process.generation <= process.attempted:
+    if plan_step.action is PlanAction.ADOPT and process.generation <= process.attempted:
         return ""
     if process.next_config is not None and process.is_stuck:
         return "its process does not die, not even of SIGKILL"
@@ -320,11 +320,11 @@ def _container_settled(world: World, process: Process) -> str | None:
 def _node_settled(world: World, plan_step: Step) -> str | None:
     key = NodeKey.parsed(plan_step.name)
     node = world.nodes.get(key)
-    if plan_step.action is Action.REMOVE:
+    if plan_step.action is PlanAction.REMOVE:
         return "" if node is None else None
     if node is None:
         return "it is no longer declared"
-    if plan_step.action is Action.ADOPT and node.generation <= node.attempted:
+    if plan_step.action is PlanAction.ADOPT and node.generation <= node.attempted:
         return ""
     container = world.processes[key.container]
     if container.phase in INACTIVE:

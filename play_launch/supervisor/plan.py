@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _Part = TypeVar("_Part", ContainerConfig, ProcessConfig, ComposableNodeConfig)
 
 
-class Kind(StrEnum):
+class PlanKind(StrEnum):
     """What a step is about."""
 
     SESSION = "session"
@@ -47,7 +47,7 @@ class Need(StrEnum):
     """It is read when `replay` is started."""
 
 
-class Action(StrEnum):
+class PlanAction(StrEnum):
     """What is done about one member, node, or the session."""
 
     REMOVE = "remove"
@@ -67,24 +67,24 @@ class Action(StrEnum):
 
 
 PHASES: Final = (
-    (Action.REMOVE,),
-    (Action.ADOPT, Action.SET),
-    (Action.RELOAD, Action.RESTART),
-    (Action.LOAD, Action.START, Action.ADD),
+    (PlanAction.REMOVE,),
+    (PlanAction.ADOPT, PlanAction.SET),
+    (PlanAction.RELOAD, PlanAction.RESTART),
+    (PlanAction.LOAD, PlanAction.START, PlanAction.ADD),
 )
 """Phases of a plan, in order, so that a name is free before it is taken again; the actions of one
 phase are done at the same time."""
 
 SIGNS: Final = {
-    Action.REMOVE: "-",
-    Action.LOAD: "+",
-    Action.START: "+",
-    Action.ADD: "+",
+    PlanAction.REMOVE: "-",
+    PlanAction.LOAD: "+",
+    PlanAction.START: "+",
+    PlanAction.ADD: "+",
 }
 """Marks in the output; all other actions change something that stays: ``~``."""
 
 
-class Change(Struct, frozen=True):
+class ItemChange(Struct, frozen=True):
     """One value that differs; `before` and `after` are JSON values, None where one is missing.
 
     A parameter is ``{"type": ..., "value": ...}``.
@@ -103,10 +103,10 @@ class Step(Struct, frozen=True, kw_only=True):
     `name` is the full name, ``/container:/node`` for a composable node, empty for the session.
     """
 
-    kind: Kind
+    kind: PlanKind
     name: str
-    action: Action
-    changes: tuple[Change, ...] = ()
+    action: PlanAction
+    changes: tuple[ItemChange, ...] = ()
     reason: str = ""
     """Why, where the changes do not say it."""
     covered: bool = False
@@ -117,7 +117,7 @@ class Step(Struct, frozen=True, kw_only=True):
         return SIGNS.get(self.action, "~")
 
     @property
-    def id(self) -> tuple[Kind, str]:
+    def id(self) -> tuple[PlanKind, str]:
         """What it is about; no other step that is carried out is."""
         return self.kind, self.name
 
@@ -134,7 +134,7 @@ class Plan(Struct, frozen=True):
     @property
     def to_do(self) -> tuple[Step, ...]:
         return tuple(
-            step for step in self.steps if step.action is not Action.KEEP and not step.covered
+            step for step in self.steps if step.action is not PlanAction.KEEP and not step.covered
         )
 
     def phases(self) -> tuple[tuple[Step, ...], ...]:
@@ -170,7 +170,7 @@ class StepOutcome(Struct, frozen=True, kw_only=True):
         What could not be taken out is still as it was.
         """
         failed = self.result is Result.FAILED
-        return self.result is Result.DONE or (failed and self.step.action is not Action.REMOVE)
+        return self.result is Result.DONE or (failed and self.step.action is not PlanAction.REMOVE)
 
 
 class Applied(Struct, frozen=True, kw_only=True):
@@ -187,9 +187,11 @@ class Applied(Struct, frozen=True, kw_only=True):
 
 def after(running: ReplayConfig, target: ReplayConfig, done: Iterable[Step]) -> ReplayConfig:
     """Give the configuration after ``done``, some steps of the plan from one to the other."""
-    actions = {step.id: step.action for step in done if step.action is not Action.KEEP}
+    actions = {step.id: step.action for step in done if step.action is not PlanAction.KEEP}
 
-    def merged(kind: Kind, before: Iterable[_Part], target: Iterable[_Part]) -> tuple[_Part, ...]:
+    def merged(
+        kind: PlanKind, before: Iterable[_Part], target: Iterable[_Part]
+    ) -> tuple[_Part, ...]:
         """Choose what a step has made of each; the new ones first, then those that are only old."""
         old: dict[str, _Part] = {_name(each): each for each in before}
         new: dict[str, _Part] = {_name(each): each for each in target}
@@ -201,22 +203,22 @@ def after(running: ReplayConfig, target: ReplayConfig, done: Iterable[Step]) -> 
                 isinstance(was, ContainerConfig)
                 and isinstance(is_, ContainerConfig)
                 and isinstance(chosen, ContainerConfig)
-                and action in {None, Action.ADOPT}
+                and action in {None, PlanAction.ADOPT}
             ):
-                nodes = merged(Kind.COMPONENT, was.composable_nodes, is_.composable_nodes)
+                nodes = merged(PlanKind.COMPONENT, was.composable_nodes, is_.composable_nodes)
                 chosen = replace(chosen, composable_nodes=nodes)
             if chosen is not None:
                 found.append(chosen)
         return tuple(found)
 
-    session = target if (Kind.SESSION, "") in actions else running
+    session = target if (PlanKind.SESSION, "") in actions else running
     return replace(
         running,
         stop=session.stop,
         start_rules=session.start_rules,
         managed=session.managed,
-        containers=merged(Kind.CONTAINER, running.containers, target.containers),
-        nodes=merged(Kind.PROCESS, running.nodes, target.nodes),
+        containers=merged(PlanKind.CONTAINER, running.containers, target.containers),
+        nodes=merged(PlanKind.PROCESS, running.nodes, target.nodes),
     )
 
 
@@ -225,10 +227,10 @@ def _name(part: ContainerConfig | ProcessConfig | ComposableNodeConfig) -> str:
 
 
 _ACTIONS: Final = (
-    (Need.RESTART, Action.RESTART),
-    (Need.RELOAD, Action.RELOAD),
-    (Need.SET, Action.SET),
-    (Need.NOTHING, Action.ADOPT),
+    (Need.RESTART, PlanAction.RESTART),
+    (Need.RELOAD, PlanAction.RELOAD),
+    (Need.SET, PlanAction.SET),
+    (Need.NOTHING, PlanAction.ADOPT),
 )
 """What is done when a change needs it; the first that one of them needs."""
 
@@ -249,7 +251,7 @@ def plan(running: ReplayConfig, target: ReplayConfig, absent: Mapping[str, str] 
     before, after = describe(running), describe(target)
     steps = [
         *_containers(_by_name(before, "containers"), _by_name(after, "containers"), absent),
-        *_members(Kind.PROCESS, _by_name(before, "nodes"), _by_name(after, "nodes"), absent),
+        *_members(PlanKind.PROCESS, _by_name(before, "nodes"), _by_name(after, "nodes"), absent),
         *_session(before, after),
     ]
     return Plan(tuple(_with_origins(steps, _nodes_of(before), _nodes_of(after))))
@@ -258,17 +260,17 @@ def plan(running: ReplayConfig, target: ReplayConfig, absent: Mapping[str, str] 
 def _containers(
     before: Mapping[str, Described], after: Mapping[str, Described], absent: Mapping[str, str]
 ) -> Iterator[Step]:
-    members = {step.name: step for step in _members(Kind.CONTAINER, before, after, absent)}
+    members = {step.name: step for step in _members(PlanKind.CONTAINER, before, after, absent)}
     for name in dict.fromkeys((*after, *before)):
         member = members.get(name)
         if member is not None:
             yield member
         # A process that is started loads what is declared by then.
-        covered = member is not None and member.action is not Action.ADOPT
+        covered = member is not None and member.action is not PlanAction.ADOPT
         yield from (
             replace(step, covered=True) if covered else step
             for step in _members(
-                Kind.COMPONENT,
+                PlanKind.COMPONENT,
                 _components(before.get(name)),
                 _components(after.get(name)),
                 # What fails together with its container is no news.
@@ -278,7 +280,7 @@ def _containers(
 
 
 def _members(
-    kind: Kind,
+    kind: PlanKind,
     before: Mapping[str, Described],
     after: Mapping[str, Described],
     absent: Mapping[str, str],
@@ -286,7 +288,7 @@ def _members(
     """Compare those of one kind by their names: those that stay or come, then those that go."""
     for name, described in after.items():
         if name not in before:
-            yield Step(kind=kind, name=name, action=Action.ADD)
+            yield Step(kind=kind, name=name, action=PlanAction.ADD)
             continue
         changes = differences(kind, before[name], described)
         needs = {change.need for change in changes}
@@ -298,22 +300,22 @@ def _members(
             yield Step(kind=kind, name=name, action=action, changes=changes, reason=reason)
     for name in before:
         if name not in after:
-            yield Step(kind=kind, name=name, action=Action.REMOVE)
+            yield Step(kind=kind, name=name, action=PlanAction.REMOVE)
 
 
-def _brought_up(kind: Kind, action: Action | None) -> Action:
+def _brought_up(kind: PlanKind, action: PlanAction | None) -> PlanAction:
     """Choose what also has the thing there; nothing can be set where nothing runs."""
-    if action in {Action.RESTART, Action.RELOAD}:
+    if action in {PlanAction.RESTART, PlanAction.RELOAD}:
         return action
-    return Action.LOAD if kind is Kind.COMPONENT else Action.START
+    return PlanAction.LOAD if kind is PlanKind.COMPONENT else PlanAction.START
 
 
 def _session(before: Described, after: Described) -> Iterator[Step]:
-    changes = differences(Kind.SESSION, before, after)
-    for need, action in ((Need.NOTHING, Action.ADOPT), (Need.NEXT_RUN, Action.KEEP)):
+    changes = differences(PlanKind.SESSION, before, after)
+    for need, action in ((Need.NOTHING, PlanAction.ADOPT), (Need.NEXT_RUN, PlanAction.KEEP)):
         if those := tuple(change for change in changes if change.need is need):
             # The two are apart, for one of them is done.
-            yield Step(kind=Kind.SESSION, name="", action=action, changes=those)
+            yield Step(kind=PlanKind.SESSION, name="", action=action, changes=those)
 
 
 def _with_origins(
@@ -321,15 +323,19 @@ def _with_origins(
 ) -> Iterator[Step]:
     """Say which of those that are added is one that is removed, under another name or elsewhere."""
     steps = tuple(steps)
-    alike: defaultdict[tuple[Kind, str], list[Step]] = defaultdict(list)
+    alike: defaultdict[tuple[PlanKind, str], list[Step]] = defaultdict(list)
     for step in steps:
-        described = {Action.REMOVE: before, Action.ADD: after}.get(step.action, {}).get(step.name)
+        described = {PlanAction.REMOVE: before, PlanAction.ADD: after}.get(step.action, {}).get(
+            step.name
+        )
         if described is not None:
             alike[step.kind, _likeness(described)].append(step)
-    reasons: dict[tuple[Kind, str], str] = {}
+    reasons: dict[tuple[PlanKind, str], str] = {}
     for pair in alike.values():
-        if {step.action for step in pair} == {Action.ADD, Action.REMOVE} and len(pair) == _PAIR:
-            new, old = sorted(pair, key=lambda step: step.action is Action.REMOVE)
+        if {step.action for step in pair} == {PlanAction.ADD, PlanAction.REMOVE} and len(
+            pair
+        ) == _PAIR:
+            new, old = sorted(pair, key=lambda step: step.action is PlanAction.REMOVE)
             reasons |= {new.id: f"it was {old.name}", old.id: f"it becomes {new.name}"}
     for step in steps:
         reason = reasons.get(step.id)
@@ -363,38 +369,38 @@ def _nodes_of(config: Described) -> dict[str, Described]:
 Described = dict[str, object]
 
 _SAFE: Final = {
-    Kind.SESSION: Need.NEXT_RUN,
-    Kind.CONTAINER: Need.RESTART,
-    Kind.COMPONENT: Need.RELOAD,
-    Kind.PROCESS: Need.RESTART,
+    PlanKind.SESSION: Need.NEXT_RUN,
+    PlanKind.CONTAINER: Need.RESTART,
+    PlanKind.COMPONENT: Need.RELOAD,
+    PlanKind.PROCESS: Need.RESTART,
 }
 """What a changed value needs that is not taken over."""
 _TAKEN_OVER: Final = {
     # What has to hold before a start is looked at when something is started.
-    Kind.SESSION: {"stop", "start_rules", "managed"},
-    Kind.CONTAINER: {"on_exit", "restart", "loading_timeout", "probe_timeout", "output"},
-    Kind.COMPONENT: {"on_crash", "restart"},
-    Kind.PROCESS: {"on_exit", "restart", "output"},
+    PlanKind.SESSION: {"stop", "start_rules", "managed"},
+    PlanKind.CONTAINER: {"on_exit", "restart", "loading_timeout", "probe_timeout", "output"},
+    PlanKind.COMPONENT: {"on_crash", "restart"},
+    PlanKind.PROCESS: {"on_exit", "restart", "output"},
 }
 """Keys whose values the supervisor takes over."""
 _NO_DIFFERENCE: Final = {
     # Those of members are in their own descriptions. Where a file is makes no difference, nor does
     # the session's name, which is that of its file unless it is given.
-    Kind.SESSION: {
+    PlanKind.SESSION: {
         *("version", "name", "source", "included_files", "parameter_files", "taken"),
         *("environment", "containers", "nodes"),
     },
-    Kind.CONTAINER: {"line", "file", "composable_nodes"},
-    Kind.COMPONENT: {"line", "file", "key", "full_name"},
-    Kind.PROCESS: {"line", "file"},
+    PlanKind.CONTAINER: {"line", "file", "composable_nodes"},
+    PlanKind.COMPONENT: {"line", "file", "key", "full_name"},
+    PlanKind.PROCESS: {"line", "file"},
 }
 """Keys that are not compared."""
 _PARAMETERS: Final = "parameters"
 
 
-def differences(kind: Kind, before: Described, after: Described) -> tuple[Change, ...]:
+def differences(kind: PlanKind, before: Described, after: Described) -> tuple[ItemChange, ...]:
     """Compare two descriptions of the same member, node or session."""
-    found: list[Change] = []
+    found: list[ItemChange] = []
     for key in _keys(before, after):
         if key in _NO_DIFFERENCE[kind]:
             continue
@@ -406,15 +412,17 @@ def differences(kind: Kind, before: Described, after: Described) -> tuple[Change
     return tuple(found)
 
 
-def _values(path: str, before: object, after: object, need: Need) -> Iterator[Change]:
+def _values(path: str, before: object, after: object, need: Need) -> Iterator[ItemChange]:
     if isinstance(before, dict) and isinstance(after, dict):
         for key in _keys(before, after):
             yield from _values(f"{path}.{key}", before.get(key), after.get(key), need)
     elif before != after:
-        yield Change(path, before, after, need)
+        yield ItemChange(path, before, after, need)
 
 
-def _parameters(kind: Kind, node: Described, before: object, after: object) -> Iterator[Change]:
+def _parameters(
+    kind: PlanKind, node: Described, before: object, after: object
+) -> Iterator[ItemChange]:
     """Compare parameters.
 
     What a node was given cannot be taken back from it, and one whose name is not declared cannot
@@ -426,7 +434,9 @@ def _parameters(kind: Kind, node: Described, before: object, after: object) -> I
         was, is_ = before.get(name), after.get(name)
         if was != is_:
             settable = is_ is not None and bool(node.get("name"))
-            yield Change(f"{_PARAMETERS}.{name}", was, is_, Need.SET if settable else _SAFE[kind])
+            yield ItemChange(
+                f"{_PARAMETERS}.{name}", was, is_, Need.SET if settable else _SAFE[kind]
+            )
 
 
 def _keys(before: Mapping[str, object], after: Mapping[str, object]) -> list[str]:

@@ -25,7 +25,7 @@ from play_launch.launch_files.configuration.write import written
 from play_launch.launch_files.parameters import read_sections, take_sections
 from play_launch.launch_files.records import (
     Description,
-    Process,
+    LaunchedProcess,
     ProgramKind,
     Section,
     parameter,
@@ -111,10 +111,10 @@ SECTIONS = st.dictionaries(
 )
 UNITS = st.sampled_from(
     [
-        Process(package="p", executable="e", name="n", namespace="/a"),
-        Process(package="p", executable="e"),
-        Process(command=["e"]),
-        Process(
+        LaunchedProcess(package="p", executable="e", name="n", namespace="/a"),
+        LaunchedProcess(package="p", executable="e"),
+        LaunchedProcess(command=["e"]),
+        LaunchedProcess(
             kind=ProgramKind.CONTAINER,
             package="rclcpp_components",
             executable="component_container",
@@ -136,7 +136,7 @@ def of_node(sections: list[Section], name: str) -> dict[str, str]:
 
 @given(SECTIONS, UNITS)
 def test_each_node_gets_what_it_would_get_of_ros(
-    tmp_path_factory: pytest.TempPathFactory, drawn: dict[str, Any], unit: Process
+    tmp_path_factory: pytest.TempPathFactory, drawn: dict[str, Any], unit: LaunchedProcess
 ) -> None:
     sections = [
         Section(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from play_launch.launch_files.records import Process, ProgramKind
+from play_launch.launch_files.records import LaunchedProcess, ProgramKind
 from tests.launch_files.writing import evaluated, load, lost, node, params, write
 
 
@@ -31,7 +31,7 @@ def test_a_second_node_of_a_name_gets_what_it_got_under_that_name(tmp_path: Path
 def test_programs_of_one_name(tmp_path: Path) -> None:
     """For launch it is a name in its output, and no node's."""
     programs = [
-        Process(kind=ProgramKind.PROCESS, command=["env"], label=label)
+        LaunchedProcess(kind=ProgramKind.PROCESS, command=["env"], label=label)
         for label in ("n", "n", "n_2", "talker", "n")
     ]
     made = write(*programs, node(name="talker", namespace="/"))

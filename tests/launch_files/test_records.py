@@ -13,13 +13,13 @@ from play_launch.launch_files import records
 from play_launch.launch_files.records import (
     Composable,
     Description,
+    EvaluationFailure,
     Event,
-    Failure,
-    Origin,
+    LaunchedProcess,
+    LaunchOrigin,
     Parameter,
     ParameterFile,
     Place,
-    Process,
     Section,
     StartCondition,
     Values,
@@ -34,7 +34,7 @@ from tests.launch_files.values import VALUES, shown
 @given(st.lists(st.tuples(st.text(), VALUES)))
 def test_parameters_keep_value_and_type(values: list[tuple[str, ParameterValue]]) -> None:
     made = [records.parameter(name, value) for name, value in values]
-    unit = Process(parameters=made, sources=[Values(tuple(made), "/n")])
+    unit = LaunchedProcess(parameters=made, sources=[Values(tuple(made), "/n")])
     back = decode(encode(Description(units=[unit])))
     assert isinstance(back, Description)
     assert len(back.units[0].parameters) == len(values)
@@ -44,11 +44,11 @@ def test_parameters_keep_value_and_type(values: list[tuple[str, ParameterValue]]
 
 
 def test_everything_comes_back() -> None:
-    origin = Origin(Place("/a.launch.xml", 3), (Place("/b.launch.xml", 7), Place("/c.py")))
+    origin = LaunchOrigin(Place("/a.launch.xml", 3), (Place("/b.launch.xml", 7), Place("/c.py")))
     number = Parameter("gain", ParameterType.DOUBLE, 1.0)
     description = Description(
         units=[
-            Process(
+            LaunchedProcess(
                 id="p1",
                 origin=origin,
                 package="p",
@@ -81,14 +81,16 @@ def test_everything_comes_back() -> None:
     first = description.units[0]
     assert first.full_name == "/a/n"
     assert first.described == "/a.launch.xml:3 /a/n"
-    assert Process(namespace="/a").full_name == ""
+    assert LaunchedProcess(namespace="/a").full_name == ""
 
 
 def test_a_failure_shows_the_chain() -> None:
-    failure = Failure("no such package", Origin(Place("/a.xml", 3), (Place("/b.xml", 7),)))
+    failure = EvaluationFailure(
+        "no such package", LaunchOrigin(Place("/a.xml", 3), (Place("/b.xml", 7),))
+    )
     assert decode(encode(failure)) == failure
     assert str(failure) == "/a.xml:3: no such package\n  included from /b.xml:7"
-    assert str(Failure("it hangs")) == "it hangs"
+    assert str(EvaluationFailure("it hangs")) == "it hangs"
 
 
 @pytest.mark.parametrize(

@@ -20,10 +20,10 @@ from play_launch.launch_files.records import (
     Composable,
     Description,
     Event,
-    Origin,
+    LaunchedProcess,
+    LaunchOrigin,
     ParameterFile,
     Place,
-    Process,
     ProgramKind,
     StartCondition,
     TemporaryFile,
@@ -46,10 +46,12 @@ COMMON = {
         lambda found: [records.parameter(*pair) for pair in found.items()]
     ),
     "remappings": st.lists(st.tuples(TOPICS, TOPICS), max_size=3),
-    "origin": st.builds(Origin, st.builds(Place, st.just("/a b/x.launch.xml"), st.integers(0, 99))),
+    "origin": st.builds(
+        LaunchOrigin, st.builds(Place, st.just("/a b/x.launch.xml"), st.integers(0, 99))
+    ),
 }
 PROCESSES = st.builds(
-    Process,
+    LaunchedProcess,
     package=st.just("p"),
     executable=NAMES,
     arguments=st.lists(TEXTS, max_size=3),
@@ -82,7 +84,7 @@ def test_what_is_written_is_read_back(
     tmp_path_factory: pytest.TempPathFactory, units: list[Unit]
 ) -> None:
     unique = list({unit.full_name: unit for unit in units}.values())
-    host = Process(kind=ProgramKind.CONTAINER, package="rclcpp_components", name="c0")
+    host = LaunchedProcess(kind=ProgramKind.CONTAINER, package="rclcpp_components", name="c0")
     host.executable, host.name = "component_container", "c"
     unique = [unit for unit in unique if unit.full_name != "/c"]
     made = write(host, *unique)
@@ -171,8 +173,8 @@ def test_a_value_that_loses_to_an_earlier_file_stays_lost(tmp_path: Path) -> Non
 
 def test_what_starts_later(tmp_path: Path) -> None:
     units: list[Unit] = [
-        Process(id="1", package="p", executable="spawner"),
-        Process(id="2", package="p", executable="spawner"),
+        LaunchedProcess(id="1", package="p", executable="spawner"),
+        LaunchedProcess(id="2", package="p", executable="spawner"),
         node(
             id="3",
             name="later",
@@ -201,8 +203,8 @@ def test_what_starts_later(tmp_path: Path) -> None:
 
 
 def test_containers_can_be_switched(tmp_path: Path) -> None:
-    def container(number: int, program: str) -> Process:
-        return Process(
+    def container(number: int, program: str) -> LaunchedProcess:
+        return LaunchedProcess(
             kind=ProgramKind.CONTAINER,
             package="rclcpp_components",
             executable=program,
@@ -354,17 +356,17 @@ def test_the_end_and_the_folder_of_a_container(tmp_path: Path) -> None:
 
 def test_origins_are_comments(tmp_path: Path) -> None:
     share = tmp_path / "x" / "y.launch.xml"
-    unit = node(name="x", origin=Origin(Place(str(share), 7), (Place("/z.launch.xml", 1),)))
+    unit = node(name="x", origin=LaunchOrigin(Place(str(share), 7), (Place("/z.launch.xml", 1),)))
     text = write(unit, folder=tmp_path).text
     assert "  # from x/y.launch.xml:7\n  - name: x\n" in text
 
 
 def test_shell_lines_unset_variables_and_labels(tmp_path: Path) -> None:
     made = write(
-        Process(
+        LaunchedProcess(
             kind=ProgramKind.PROCESS, command=["echo $HOME | cat"], shell=True, label="my cat-1"
         ),
-        Process(kind=ProgramKind.PROCESS, command=["env"], unset=["A"], prefix=["nice"]),
+        LaunchedProcess(kind=ProgramKind.PROCESS, command=["env"], unset=["A"], prefix=["nice"]),
     )
     first, second = load(made, tmp_path).nodes
     assert first.command == ("/bin/sh", "-c", "echo $HOME | cat")

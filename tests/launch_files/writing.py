@@ -10,7 +10,13 @@ from play_launch.config.model import ReplayConfig
 from play_launch.launch_files.configuration.options import Options
 from play_launch.launch_files.configuration.write import Written, written
 from play_launch.launch_files.parameters import evaluate_sources
-from play_launch.launch_files.records import Description, Losses, ParameterFile, Process, Unit
+from play_launch.launch_files.records import (
+    Description,
+    LaunchedProcess,
+    Losses,
+    ParameterFile,
+    Unit,
+)
 
 
 def load(made: Written, folder: Path) -> ReplayConfig:
@@ -32,8 +38,10 @@ def params(path: Path, text: str) -> ParameterFile:
     return ParameterFile(str(path))
 
 
-def node(**fields: Any) -> Process:
-    return Process(**{"package": "p", "executable": "e", "name": "n", "namespace": "/a"} | fields)
+def node(**fields: Any) -> LaunchedProcess:
+    return LaunchedProcess(
+        **{"package": "p", "executable": "e", "name": "n", "namespace": "/a"} | fields
+    )
 
 
 def evaluated(unit: Unit) -> Unit:

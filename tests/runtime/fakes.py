@@ -43,7 +43,7 @@ from play_launch.container.messages import (
 )
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
-from play_launch.runtime.commands import Groups
+from play_launch.runtime.commands import MemberGroups
 from play_launch.runtime.launcher import NativeLauncher, NativeProcess
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind, Stream
 
@@ -305,7 +305,7 @@ def found_good(name: str, process: FakeProcess, on_output: OutputCallback) -> No
     found(process, on_output)
 
 
-class NoGroups(Groups):
+class NoGroups(MemberGroups):
     def __init__(self) -> None:
         pass
 
@@ -337,7 +337,7 @@ class FakeLauncher(NativeLauncher):
     cleaned: int = 0
     cleaned_before_a_start: list[int] = field(default_factory=list)
     closed: bool = False
-    groups: Groups = field(default_factory=NoGroups)
+    groups: MemberGroups = field(default_factory=NoGroups)
 
     def hello(self) -> Hello:
         return Hello(version="1")

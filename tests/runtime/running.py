@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from play_launch.process.lines import Line
 from play_launch.runtime.publisher import Publisher
-from play_launch.runtime.run import Outcome, run_system
+from play_launch.runtime.run import RunOutcome, run_system
 from play_launch.runtime.signals import StopRequests
 from play_launch.runtime.system import System
 from play_launch.supervisor.events import (
@@ -41,8 +41,8 @@ class Running:
         self.stop = StopRequests()
         self.events: list[RunEvent] = []
         self.view = SystemView()
-        self.outcome: Outcome | None = None
-        self.task: asyncio.Task[Outcome] | None = None
+        self.outcome: RunOutcome | None = None
+        self.task: asyncio.Task[RunOutcome] | None = None
         self.system: System | None = None
         self._published = asyncio.Event()
 

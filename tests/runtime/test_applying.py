@@ -34,7 +34,7 @@ from play_launch.supervisor.events import (
     SubjectKind,
     Withdrawn,
 )
-from play_launch.supervisor.plan import Action, Applied, Kind, Result
+from play_launch.supervisor.plan import Applied, PlanAction, PlanKind, Result
 
 from .fake_parameters import FakeParameters
 from .fakes import (
@@ -189,7 +189,7 @@ async def test_limits_are_taken_over_without_a_word_to_the_container() -> None:
         said = len(launcher.containers["/box"][0].link.sent)
         target = system(container("box", node("a", OnCrash.IGNORE), max_restarts=0))
         applied = await run.operated.applying.apply(target)
-        assert {each.step.action for each in applied.outcomes} == {Action.ADOPT}
+        assert {each.step.action for each in applied.outcomes} == {PlanAction.ADOPT}
         assert len(launcher.containers["/box"][0].link.sent) == said
         launcher.containers["/box"][0].crash_node("a")
         await run.until(lambda: run.node_states("/a")[-1] is NodeState.CRASHED)
@@ -226,7 +226,7 @@ async def test_a_failing_step_ends_it_and_leaves_the_rest_as_it_was() -> None:
         assert "no such class" in why
         # What failed is what is left to do; nothing else is touched again.
         left = run.operated.applying.plan(bad)
-        assert [(step.name, step.action) for step in left.steps] == [("/box:/bad", Action.LOAD)]
+        assert [(step.name, step.action) for step in left.steps] == [("/box:/bad", PlanAction.LOAD)]
 
 
 @simulated
@@ -337,7 +337,11 @@ async def test_a_crashed_node_is_loaded_again_although_nothing_differs() -> None
         launcher.containers["/box"][0].crash_node("a")
         await run.until(lambda: run.node_states("/a")[-1] is NodeState.CRASHED)
         (step,) = run.operated.applying.plan(config).steps
-        assert (step.kind, step.name, step.action) == (Kind.COMPONENT, "/box:/a", Action.LOAD)
+        assert (step.kind, step.name, step.action) == (
+            PlanKind.COMPONENT,
+            "/box:/a",
+            PlanAction.LOAD,
+        )
         assert "crashed" in step.reason
         assert (await run.operated.applying.apply(config)).succeeded
         assert run.view.is_complete
@@ -407,7 +411,7 @@ def test_any_system_becomes_any_other(chain: list[ReplayConfig], refused: set[st
                         assert held[it.name].remap_rules == tuple(
                             f"{one}:={two}" for one, two in it.remappings
                         )
-                touched = {step.name for step in found.steps if step.kind is not Kind.COMPONENT}
+                touched = {step.name for step in found.steps if step.kind is not PlanKind.COMPONENT}
                 now = pids(launcher)
                 for name in running_before.keys() & now.keys() - touched:
                     assert running_before[name] == now[name]

@@ -16,7 +16,7 @@ from play_launch.control.actions import OperatorAction as Asked
 from play_launch.control.feed import Feed
 from play_launch.control.messages import ActionRequest, Caller, SignalRequest
 from play_launch.control.protocol import OperationError
-from play_launch.supervisor.plan import Action
+from play_launch.supervisor.plan import PlanAction
 
 from .fakes import FakeContainer, FakeLauncher, container, process, system
 from .running import Running, running
@@ -43,8 +43,8 @@ async def taken_out_too_slowly(sys: Running) -> None:
     assert [each.reason for each in applied.outcomes] == ["it takes longer than 1 s"] * 2
     left = sys.operated.applying.plan(AFTER).steps
     assert {(step.name, step.action) for step in left} == {
-        ("/box:/goes", Action.REMOVE),
-        ("/p", Action.REMOVE),
+        ("/box:/goes", PlanAction.REMOVE),
+        ("/p", PlanAction.REMOVE),
     }
 
 
@@ -57,8 +57,8 @@ async def test_what_left_too_slowly_returns_with_the_configuration_that_has_it(
         await asyncio.sleep(pause)
         back = sys.operated.applying.plan(BEFORE).steps
         assert {(step.name, step.action) for step in back} == {
-            ("/box:/goes", Action.LOAD),
-            ("/p", Action.START),
+            ("/box:/goes", PlanAction.LOAD),
+            ("/p", PlanAction.START),
         }
         assert (await sys.operated.applying.apply(BEFORE, limit=200)).succeeded
         assert sys.view.loaded == 2

@@ -10,7 +10,7 @@ from play_launch.config.model import OnExit, ProcessConfig
 from play_launch.process.exit import Exit
 from play_launch.process.lines import OutputCallback
 from play_launch.runtime.publisher import Publisher
-from play_launch.runtime.run import Outcome, run_system
+from play_launch.runtime.run import RunOutcome, run_system
 from play_launch.runtime.signals import StopRequests
 from play_launch.supervisor.events import (
     ContainerState,
@@ -78,7 +78,7 @@ class StopAt:
         self.left = count
         self.act = act
         self.stop = stop
-        self.task: asyncio.Task[Outcome] | None = None
+        self.task: asyncio.Task[RunOutcome] | None = None
 
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
         self.left -= 1

@@ -17,7 +17,7 @@ from play_launch.supervisor.events import (
     ProcessEventKind,
     Withdrawn,
 )
-from play_launch.supervisor.plan import Action, Result, StepOutcome
+from play_launch.supervisor.plan import PlanAction, Result, StepOutcome
 
 from .person import unit_of
 
@@ -172,7 +172,7 @@ class Seen:
                 self.gave_up.discard(step.name)
                 for unit in [each for each in self.anew if step.name in {each, unit_of(each)}]:
                     del self.anew[unit]
-                if step.action not in {Action.REMOVE, Action.ADOPT}:
+                if step.action not in {PlanAction.REMOVE, PlanAction.ADOPT}:
                     # The nodes of a container come with it.
                     recalled = {
                         each for each in self.dismissed if step.name in {each, unit_of(each)}
@@ -240,7 +240,9 @@ class Seen:
             case StepOutcome():
                 if effect.result is Result.FAILED:
                     self.requested.add(effect.step.name)
-                has_failed = effect.result is Result.FAILED and effect.step.action is Action.REMOVE
+                has_failed = (
+                    effect.result is Result.FAILED and effect.step.action is PlanAction.REMOVE
+                )
                 (self.unremoved.add if has_failed else self.unremoved.discard)(effect.step.name)
             case said.ChangeEnded():
                 self.is_changing = False

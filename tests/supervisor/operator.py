@@ -11,7 +11,7 @@ from typing import Any
 
 from play_launch.config.description import describe
 from play_launch.config.model import ReplayConfig
-from play_launch.supervisor.plan import Action, Change, Kind, Plan, Step
+from play_launch.supervisor.plan import ItemChange, Plan, PlanAction, PlanKind, Step
 
 
 class Operated:
@@ -21,7 +21,7 @@ class Operated:
         self.things = things(config)
         self.absent = set(absent)
         self.lives = Counter(dict.fromkeys(self.things, 1))
-        self.touched: set[tuple[Kind, str]] = set()
+        self.touched: set[tuple[PlanKind, str]] = set()
 
     def carry_out(self, plan: Plan, target: ReplayConfig) -> None:
         wanted = things(target)
@@ -29,27 +29,27 @@ class Operated:
             for step in phase:
                 self._do(step, wanted)
 
-    def _do(self, step: Step, wanted: dict[tuple[Kind, str], Any]) -> None:
+    def _do(self, step: Step, wanted: dict[tuple[PlanKind, str], Any]) -> None:
         self.touched.add(step.id)
         match step.action:
-            case Action.REMOVE:
+            case PlanAction.REMOVE:
                 for each in self._with_nodes(step):
                     del self.things[each]
-            case Action.ADOPT | Action.SET:
+            case PlanAction.ADOPT | PlanAction.SET:
                 assert step.name not in self.absent, "nothing runs that could take it"
                 for change in step.changes:
                     self._change(step, change)
-            case Action.ADD:
+            case PlanAction.ADD:
                 assert not self._with_nodes(step), "it is there already"
                 self._begin(step, wanted)
-            case Action.RELOAD | Action.RESTART | Action.LOAD | Action.START:
+            case PlanAction.RELOAD | PlanAction.RESTART | PlanAction.LOAD | PlanAction.START:
                 for each in self._with_nodes(step):
                     del self.things[each]
                 self._begin(step, wanted)
-            case Action.KEEP:
+            case PlanAction.KEEP:
                 raise AssertionError("nothing is to be done")
 
-    def _begin(self, step: Step, wanted: dict[tuple[Kind, str], Any]) -> None:
+    def _begin(self, step: Step, wanted: dict[tuple[PlanKind, str], Any]) -> None:
         for (kind, name), described in wanted.items():
             if (kind, name) == step.id or _is_inside(kind, name, step):
                 self.things[kind, name] = deepcopy(described)
@@ -57,10 +57,10 @@ class Operated:
                 self.absent.discard(name)
                 self.touched.add((kind, name))
 
-    def _with_nodes(self, step: Step) -> list[tuple[Kind, str]]:
+    def _with_nodes(self, step: Step) -> list[tuple[PlanKind, str]]:
         return [each for each in self.things if each == step.id or _is_inside(*each, step)]
 
-    def _change(self, step: Step, change: Change) -> None:
+    def _change(self, step: Step, change: ItemChange) -> None:
         first, _, rest = change.path.partition(".")
         place = self.things[step.id]
         if rest:
@@ -72,22 +72,22 @@ class Operated:
             place[first] = change.after
 
 
-def _is_inside(kind: Kind, name: str, step: Step) -> bool:
-    is_node = kind is Kind.COMPONENT and step.kind is Kind.CONTAINER
+def _is_inside(kind: PlanKind, name: str, step: Step) -> bool:
+    is_node = kind is PlanKind.COMPONENT and step.kind is PlanKind.CONTAINER
     return is_node and name.startswith(f"{step.name}:")
 
 
-def things(config: ReplayConfig) -> dict[tuple[Kind, str], Any]:
+def things(config: ReplayConfig) -> dict[tuple[PlanKind, str], Any]:
     """Everything that a configuration declares; lines are no part of it."""
-    found: dict[tuple[Kind, str], Any] = {}
+    found: dict[tuple[PlanKind, str], Any] = {}
     described: Any = describe(config)
     for container in described["containers"]:
         for node in container.pop("composable_nodes"):
-            found[Kind.COMPONENT, node["key"]] = node
-        found[Kind.CONTAINER, container["full_name"]] = container
+            found[PlanKind.COMPONENT, node["key"]] = node
+        found[PlanKind.CONTAINER, container["full_name"]] = container
     for process in described["nodes"]:
-        found[Kind.PROCESS, process["full_name"]] = process
+        found[PlanKind.PROCESS, process["full_name"]] = process
     for thing in found.values():
         del thing["line"], thing["file"]
-    found[Kind.SESSION, ""] = {"stop": described["stop"]}
+    found[PlanKind.SESSION, ""] = {"stop": described["stop"]}
     return found

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from play_launch.config.load import parse_config
 from play_launch.config.model import RestartLimits
-from play_launch.supervisor.plan import Action, Kind, Need, after, plan
+from play_launch.supervisor.plan import Need, PlanAction, PlanKind, after, plan
 
 from .configurations import configurations
 from .operator import Operated, things
@@ -29,7 +29,7 @@ A_FEW = settings(max_examples=300, deadline=None)
 def situations(draw: st.DrawFn) -> tuple[ReplayConfig, set[str], ReplayConfig]:
     """A running system, what is not there of it, and what it is to become."""
     running = draw(configurations())
-    names = sorted(name for kind, name in things(running) if kind is not Kind.SESSION)
+    names = sorted(name for kind, name in things(running) if kind is not PlanKind.SESSION)
     absent = draw(st.sets(st.sampled_from(names))) if names else set()
     # Often almost the same, so that each difference comes alone, too.
     target = draw(st.one_of(configurations(), st.just(running)))
@@ -62,10 +62,13 @@ def test_what_did_not_change_is_not_touched(
     system = Operated(running, absent)
     system.carry_out(made(running, absent, target), target)
 
-    def may_live_on(kind: Kind, name: str) -> bool:
+    def may_live_on(kind: PlanKind, name: str) -> bool:
         container = name.partition(":/")[0]
-        whole = before.get((Kind.CONTAINER, container)), then.get((Kind.CONTAINER, container))
-        keeps_container = kind is not Kind.COMPONENT or (
+        whole = (
+            before.get((PlanKind.CONTAINER, container)),
+            then.get((PlanKind.CONTAINER, container)),
+        )
+        keeps_container = kind is not PlanKind.COMPONENT or (
             container not in absent and _read_at_start(whole[0]) == _read_at_start(whole[1])
         )
         is_same = before.get((kind, name)) == then.get((kind, name))
@@ -117,12 +120,12 @@ def test_a_plan_that_was_cut_short_goes_on_where_it_stopped(
 def test_every_step_says_why(situation: tuple[ReplayConfig, set[str], ReplayConfig]) -> None:
     running, absent, target = situation
     for step in made(running, absent, target).steps:
-        assert step.action in {Action.ADD, Action.REMOVE} or step.changes or step.reason
+        assert step.action in {PlanAction.ADD, PlanAction.REMOVE} or step.changes or step.reason
         needs = {change.need for change in step.changes}
-        assert step.action is Action.KEEP or Need.NEXT_RUN not in needs
-        if step.action is Action.SET:
+        assert step.action is PlanAction.KEEP or Need.NEXT_RUN not in needs
+        if step.action is PlanAction.SET:
             assert needs <= {Need.SET, Need.NOTHING}
-        if step.action is Action.ADOPT:
+        if step.action is PlanAction.ADOPT:
             assert needs == {Need.NOTHING}
 
 
@@ -152,34 +155,42 @@ nodes:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("rate: 1.0", "rate: 2.0", {"/box:/talker": Action.SET}),
-        ("rate: 1.0", "rate: one", {"/box:/talker": Action.SET}),
-        ("rate: 1.0", "rate: 1.0, depth: 2", {"/box:/talker": Action.SET}),
-        (", parameters: {rate: 1.0}", "", {"/box:/talker": Action.RELOAD}),
-        ("name: listener", "name: listener, log_level: debug", {"/box:/listener": Action.RELOAD}),
-        ("name: listener", "name: listener, on_crash: ignore", {"/box:/listener": Action.ADOPT}),
+        ("rate: 1.0", "rate: 2.0", {"/box:/talker": PlanAction.SET}),
+        ("rate: 1.0", "rate: one", {"/box:/talker": PlanAction.SET}),
+        ("rate: 1.0", "rate: 1.0, depth: 2", {"/box:/talker": PlanAction.SET}),
+        (", parameters: {rate: 1.0}", "", {"/box:/talker": PlanAction.RELOAD}),
+        (
+            "name: listener",
+            "name: listener, log_level: debug",
+            {"/box:/listener": PlanAction.RELOAD},
+        ),
+        (
+            "name: listener",
+            "name: listener, on_crash: ignore",
+            {"/box:/listener": PlanAction.ADOPT},
+        ),
         (
             "name: listener",
             "name: hearer",
-            {"/box:/hearer": Action.ADD, "/box:/listener": Action.REMOVE},
+            {"/box:/hearer": PlanAction.ADD, "/box:/listener": PlanAction.REMOVE},
         ),
-        ("speed: 1", "speed: 2", {"/runner": Action.SET}),
-        ("[run]", "[run, --fast]", {"/runner": Action.RESTART}),
-        ("name: runner", "name: runner, on_exit: restart", {"/runner": Action.ADOPT}),
-        ("name: runner", "name: runner, environment: {A: b}", {"/runner": Action.RESTART}),
-        ("version: 1", "version: 1\nrecord: {sync: 2}", {"": Action.KEEP}),
-        ("version: 1", "version: 1\nstop: {ask: 9}", {"": Action.ADOPT}),
+        ("speed: 1", "speed: 2", {"/runner": PlanAction.SET}),
+        ("[run]", "[run, --fast]", {"/runner": PlanAction.RESTART}),
+        ("name: runner", "name: runner, on_exit: restart", {"/runner": PlanAction.ADOPT}),
+        ("name: runner", "name: runner, environment: {A: b}", {"/runner": PlanAction.RESTART}),
+        ("version: 1", "version: 1\nrecord: {sync: 2}", {"": PlanAction.KEEP}),
+        ("version: 1", "version: 1\nstop: {ask: 9}", {"": PlanAction.ADOPT}),
         ("version: 1", "# a remark\nversion: 1", {}),
         (
             "name: box\n    container_type: isolated",
             "name: box\n    container_type: standard",
-            {"/box": Action.RESTART},
+            {"/box": PlanAction.RESTART},
         ),
-        ("name: box\n", "name: box\n    loading_timeout: 1s\n", {"/box": Action.ADOPT}),
+        ("name: box\n", "name: box\n    loading_timeout: 1s\n", {"/box": PlanAction.ADOPT}),
     ],
 )
 def test_an_edit_and_what_follows(
-    tmp_path: Path, old: str, new: str, expected: dict[str, Action]
+    tmp_path: Path, old: str, new: str, expected: dict[str, PlanAction]
 ) -> None:
     assert old in BEFORE
     running, target = read(BEFORE, tmp_path), read(BEFORE.replace(old, new, 1), tmp_path)
@@ -195,8 +206,8 @@ def test_a_node_that_moves_or_is_renamed_says_where_it_was(tmp_path: Path) -> No
     assert by_name(found)["/box:/listener"].reason == "it becomes /other:/listener"
     # It has left before it comes back: two nodes of one name disturb each other.
     assert [step.action for phase in found.phases() for step in phase] == [
-        Action.REMOVE,
-        Action.ADD,
+        PlanAction.REMOVE,
+        PlanAction.ADD,
     ]
 
 
@@ -216,10 +227,10 @@ def test_what_is_absent_is_brought_up_and_not_asked_to_take_a_parameter(tmp_path
     running = read(BEFORE, tmp_path)
     target = read(BEFORE.replace("rate: 1.0", "rate: 2.0"), tmp_path)
     steps = by_name(plan(running, target, {"/box:/talker": "it crashed", "/runner": "exit 1"}))
-    assert steps["/box:/talker"].action is Action.LOAD
+    assert steps["/box:/talker"].action is PlanAction.LOAD
     assert steps["/box:/talker"].reason == "it crashed"
     assert [change.path for change in steps["/box:/talker"].changes] == ["parameters.rate"]
-    assert steps["/runner"].action is Action.START
+    assert steps["/runner"].action is PlanAction.START
 
 
 def test_limits_of_one_member_alone_are_taken_over(tmp_path: Path) -> None:
@@ -229,7 +240,7 @@ def test_limits_of_one_member_alone_are_taken_over(tmp_path: Path) -> None:
         running, containers=(replace(box, restart=RestartLimits(max_restarts=1)), other)
     )
     (step,) = plan(running, target).steps
-    assert (step.name, step.action) == ("/box", Action.ADOPT)
+    assert (step.name, step.action) == ("/box", PlanAction.ADOPT)
     assert [(each.path, each.before, each.after) for each in step.changes] == [
         ("restart.max_restarts", 5, 1)
     ]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from play_launch.launch_files.configuration.options import Options
     from play_launch.launch_files.configuration.references import Names
     from play_launch.launch_files.configuration.sources import ParameterSources
-    from play_launch.launch_files.records import Composable, Losses, Process, Unit
+    from play_launch.launch_files.records import Composable, LaunchedProcess, Losses, Unit
 
 _TYPES: Final = {
     "component_container": "standard",
@@ -57,7 +57,7 @@ class Members:
         self._program_names = names
         self._losses = losses
 
-    def container(self, unit: Process) -> dict[str, Any]:
+    def container(self, unit: LaunchedProcess) -> dict[str, Any]:
         """Return the entry of a container, without its nodes."""
         entry = self._begin(unit)
         values = values_of(unit, unit.parameters, self._losses)
@@ -124,7 +124,7 @@ class Members:
         self._add_lifecycle(entry, unit)
         return entry
 
-    def process(self, unit: Process) -> dict[str, Any] | None:
+    def process(self, unit: LaunchedProcess) -> dict[str, Any] | None:
         """Return the entry of a process; None where there is nothing to start."""
         entry = self._begin(unit)
         prefix = list(unit.prefix)
@@ -173,7 +173,7 @@ class Members:
     def _add_common(
         self,
         entry: dict[str, Any],
-        unit: Process,
+        unit: LaunchedProcess,
         extra: list[str],
         prefix: list[str] | None = None,
     ) -> None:
@@ -192,7 +192,7 @@ class Members:
         if unit.output in _INTO_FILES and not self._options.show_all:
             entry["output"] = "log"
 
-    def _report_shell(self, unit: Process) -> None:
+    def _report_shell(self, unit: LaunchedProcess) -> None:
         """Report what only a shell would make something else of."""
         words = [*unit.prefix, *unit.command, *unit.arguments, *unit.ros_arguments]
         special = [word for word in words if shlex.quote(word) != word]
@@ -213,7 +213,7 @@ class Members:
                 unit.described, "is a lifecycle node; nobody but your own nodes activates it"
             )
 
-    def _add_end(self, entry: dict[str, Any], unit: Process) -> None:
+    def _add_end(self, entry: dict[str, Any], unit: LaunchedProcess) -> None:
         """Add the reaction to the exit of a process."""
         if unit.on_exit is AtExit.SHUTDOWN:
             # launch does both; the restarted process is stopped at once.
@@ -225,7 +225,7 @@ class Members:
         if restart := _restart(unit, unit.respawn_max_retries):
             entry["restart"] = restart
 
-    def _without_names(self, unit: Process, words: Iterable[str]) -> list[str]:
+    def _without_names(self, unit: LaunchedProcess, words: Iterable[str]) -> list[str]:
         """Return the arguments for ROS, without the marks that are put around them here."""
         kept: list[str] = []
         for word in words:
@@ -281,7 +281,7 @@ def _parted(arguments: Iterable[str]) -> tuple[list[str], list[str]]:
     return own, for_ros
 
 
-def _restart(unit: Process, max_retries: int) -> dict[str, Any]:
+def _restart(unit: LaunchedProcess, max_retries: int) -> dict[str, Any]:
     restart: dict[str, Any] = {}
     if max_retries >= 0:
         # Counted from the start on, not within a time.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from play_launch.config.values import check_node_name
-from play_launch.launch_files.records import Event, Process, ProgramKind
+from play_launch.launch_files.records import Event, LaunchedProcess, ProgramKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -54,7 +54,7 @@ class Names:
             losses.lost(where, f"{what}; {more[name]} more of that name" if more[name] else what)
         return found
 
-    def label(self, unit: Process) -> str:
+    def label(self, unit: LaunchedProcess) -> str:
         """Return a name for a program that is no node; empty: launch gives it none.
 
         For launch it is a word in its output, and any number of programs have the same.
@@ -82,7 +82,7 @@ class Names:
 
 
 def _is_container(unit: Unit) -> bool:
-    return isinstance(unit, Process) and unit.kind is ProgramKind.CONTAINER
+    return isinstance(unit, LaunchedProcess) and unit.kind is ProgramKind.CONTAINER
 
 
 _ACTIVE: Final = "active"
@@ -123,12 +123,12 @@ def add_order(
 
 def _dependency(condition: StartCondition, target: Unit, name: str) -> dict[str, Any] | str:
     """Return the entry of `depends_on`, or why there is none."""
-    is_process = isinstance(target, Process)
+    is_process = isinstance(target, LaunchedProcess)
     match condition.event:
         case Event.STARTED if is_process:
             return {"name": name, "condition": "started"}
         case Event.EXITED if is_process:
-            if isinstance(target, Process) and target.respawn:
+            if isinstance(target, LaunchedProcess) and target.respawn:
                 return f"{name} is started again whenever it exits"
             # The launch file does not ask for an exit status.
             return {"name": name, "condition": "exited", "on_timeout": "start"}

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from play_launch.config.model import ParameterValue
     from play_launch.launch_files.configuration.files import Copies, Paths
     from play_launch.launch_files.configuration.options import Options
-    from play_launch.launch_files.records import Parameter, Process, Source, Unit
+    from play_launch.launch_files.records import LaunchedProcess, Parameter, Source, Unit
 
 Parameters = dict[str, "ParameterValue"]
 
@@ -216,7 +216,7 @@ def same(one: ParameterValue | None, other: ParameterValue) -> bool:
 
 
 def add_parameters(
-    entry: dict[str, Any], unit: Process, sources: ParameterSources, losses: Losses
+    entry: dict[str, Any], unit: LaunchedProcess, sources: ParameterSources, losses: Losses
 ) -> None:
     """Add `parameters` of a process, and `process_parameters` where others in it get something."""
     own = values_of(unit, unit.parameters, losses)
@@ -232,7 +232,11 @@ def add_parameters(
 
 
 def add_sections(
-    entry: dict[str, Any], unit: Process, own: Parameters, sources: ParameterSources, losses: Losses
+    entry: dict[str, Any],
+    unit: LaunchedProcess,
+    own: Parameters,
+    sources: ParameterSources,
+    losses: Losses,
 ) -> None:
     """Add `process_parameters`, and `own` for the node itself, where these do not give it that."""
     sections = {each.pattern: values_of(unit, each.parameters, losses) for each in unit.for_others}
@@ -246,5 +250,5 @@ def add_sections(
         entry["process_parameters"] = written
 
 
-def _is_for(unit: Process, pattern: str) -> bool:
+def _is_for(unit: LaunchedProcess, pattern: str) -> bool:
     return pattern == FOR_ALL or bool(unit.full_name and matches(pattern, unit.full_name))

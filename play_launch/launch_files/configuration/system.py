@@ -11,7 +11,7 @@ from play_launch.launch_files.configuration.files import Paths, with_copies
 from play_launch.launch_files.configuration.members import Members
 from play_launch.launch_files.configuration.references import Names, add_order
 from play_launch.launch_files.configuration.sources import ParameterSources
-from play_launch.launch_files.records import AtExit, Composable, Process, ProgramKind
+from play_launch.launch_files.records import AtExit, Composable, LaunchedProcess, ProgramKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -70,7 +70,7 @@ def _container_type(containers: list[dict[str, Any]]) -> str:
     return str(kind)
 
 
-def stop_limits(processes: Iterable[Process], losses: Losses) -> dict[str, float]:
+def stop_limits(processes: Iterable[LaunchedProcess], losses: Losses) -> dict[str, float]:
     """Return the key `stop`: limits hold for all, so the longest of each is taken.
 
     launch counts both from one signal to the next, as `sigint` and `sigterm` do. A process whose
@@ -116,7 +116,7 @@ class _Builder:
     def built(self) -> dict[str, Any]:
         hosts = {unit.container for unit in self._units if isinstance(unit, Composable)}
         for unit in self._units:
-            if isinstance(unit, Process):
+            if isinstance(unit, LaunchedProcess):
                 self._add_process(unit, is_host=unit.full_name in hosts or unit.name in hosts)
         for unit in self._units:
             if isinstance(unit, Composable):
@@ -131,7 +131,7 @@ class _Builder:
             if nodes := entry.pop("composable_nodes", None):
                 entry["composable_nodes"] = nodes
         values: dict[str, Any] = {"version": 1}
-        processes = [unit for unit in self._units if isinstance(unit, Process)]
+        processes = [unit for unit in self._units if isinstance(unit, LaunchedProcess)]
         if limits := stop_limits(processes, self._losses):
             values["stop"] = limits
         values |= pull_up(containers, self._processes)
@@ -141,7 +141,7 @@ class _Builder:
             values["nodes"] = self._processes
         return values
 
-    def _add_process(self, unit: Process, *, is_host: bool) -> None:
+    def _add_process(self, unit: LaunchedProcess, *, is_host: bool) -> None:
         if unit.name and (unit.kind is ProgramKind.CONTAINER or is_host) and unit.package:
             entry = self._members.container(unit)
             self._containers[unit.full_name] = entry
@@ -199,7 +199,7 @@ class _Builder:
     def _keep_known(self, unit: Unit, entry: dict[str, Any]) -> None:
         """Leave out keys that configurations do not have."""
         section: Any = ComposableNodeSection
-        if isinstance(unit, Process):
+        if isinstance(unit, LaunchedProcess):
             is_container = entry is self._containers.get(unit.full_name)
             section = ContainerSection if is_container else ProcessSection
         for key in [key for key in entry if key not in section.keys]:

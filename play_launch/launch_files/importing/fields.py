@@ -11,7 +11,7 @@ from play_launch.config.problems import Report, excerpt
 from play_launch.config.resolve.parameters import flatten
 from play_launch.config.tree import Cursor, Entry, Mapping, Sequence
 from play_launch.launch_files.records import (
-    Origin,
+    LaunchOrigin,
     Parameter,
     ParameterFile,
     Place,
@@ -74,9 +74,9 @@ def _collection(name: str, text: str) -> _Values | None:
     return None
 
 
-def origin_of(name: str) -> Origin:
+def origin_of(name: str) -> LaunchOrigin:
     """Return the origin for the name of a launch file, which may be empty."""
-    return Origin(Place(name))
+    return LaunchOrigin(Place(name))
 
 
 def inline(name: str, text: str, where: str, losses: Losses) -> Source:

@@ -19,7 +19,7 @@ from play_launch.launch_files.importing.fields import (
     set_name,
 )
 from play_launch.launch_files.parameters import evaluate_sources
-from play_launch.launch_files.records import Composable, Description, Process, ProgramKind
+from play_launch.launch_files.records import Composable, Description, LaunchedProcess, ProgramKind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -101,7 +101,7 @@ class _Reader:
         node: Unit = (
             Composable(where=where)
             if kind == _COMPOSABLE
-            else Process(
+            else LaunchedProcess(
                 where=where, kind=ProgramKind.CONTAINER if is_container else ProgramKind.NODE
             )
         )
@@ -133,7 +133,7 @@ class _Reader:
         fields.refuse_rest()
         return node
 
-    def _read_process(self, node: Process, fields: Fields) -> None:
+    def _read_process(self, node: LaunchedProcess, fields: Fields) -> None:
         node.executable = self._filled(fields.text("executable"), node)
         node.arguments = [self._filled(each, node) for each in fields.texts("args")]
         node.ros_arguments = [self._filled(each, node) for each in fields.texts("ros_args")]
@@ -147,7 +147,7 @@ class _Reader:
         fields.take("exec_name")
         node.sources = _sources(fields, self._losses)
 
-    def _filled(self, text: str, node: Process) -> str:
+    def _filled(self, text: str, node: LaunchedProcess) -> str:
         """Put the values of variables into a text."""
         for _ in range(_MOST_ROUNDS):
             filled = _VARIABLE.sub(lambda found: self._variables.get(found[1], found[0]), text)

@@ -19,7 +19,7 @@ from play_launch.launch_files.importing.fields import (
 )
 from play_launch.launch_files.importing.launch_dump import ordered_sources
 from play_launch.launch_files.parameters import evaluate_sources
-from play_launch.launch_files.records import Composable, Description, Process, ProgramKind
+from play_launch.launch_files.records import Composable, Description, LaunchedProcess, ProgramKind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -120,7 +120,7 @@ def _node(
     node: Unit = (
         Composable(where=key, plugin=plugin, container=container)
         if plugin
-        else Process(
+        else LaunchedProcess(
             where=key,
             kind=ProgramKind.CONTAINER if is_container else ProgramKind.NODE,
             executable=executable,
@@ -137,7 +137,7 @@ def _node(
     respawn, respawn_delay = fields.flag("respawn"), fields.number("respawn_delay")
     arguments, ros_arguments = fields.texts("args"), fields.texts("ros_args")
     extra = parameters(fields.pairs("extra_args"), key, losses)
-    if isinstance(node, Process):
+    if isinstance(node, LaunchedProcess):
         node.arguments, node.ros_arguments = arguments, ros_arguments
         node.environment = environment
         node.respawn, node.respawn_delay = respawn, respawn_delay

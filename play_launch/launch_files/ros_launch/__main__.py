@@ -21,7 +21,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from play_launch.launch_files.records import Description, Failure, Job, Origin, Place, encode
+from play_launch.launch_files.records import (
+    Description,
+    EvaluationFailure,
+    Job,
+    LaunchOrigin,
+    Place,
+    encode,
+)
 from play_launch.launch_files.ros_launch.places import Places, reason_of, trail
 
 if TYPE_CHECKING:
@@ -46,13 +53,13 @@ def main() -> None:
     # Nothing in the launch file shall take these for its own.
     sys.argv[1:] = []
 
-    def answer(found: Description | Failure) -> None:
+    def answer(found: Description | EvaluationFailure) -> None:
         try:
             records = encode(found)
         except UnicodeEncodeError as error:
             text = error.object[error.start : error.end + 20]
             what = f"it holds what is not UTF-8: {text!a}"
-            records = encode(Failure(what, Origin(Place(job.path))))
+            records = encode(EvaluationFailure(what, LaunchOrigin(Place(job.path))))
         # Before the answer, after which this process may be killed.
         for stream in (sys.stdout, sys.stderr):
             with suppress(Exception):
@@ -64,7 +71,7 @@ def main() -> None:
     os._exit(0)
 
 
-def _answer(job: Job, answer: Callable[[Description | Failure], None]) -> None:
+def _answer(job: Job, answer: Callable[[Description | EvaluationFailure], None]) -> None:
     """Evaluate, and call `answer` once; with a failure also out of the middle when time is up."""
     places = Places(_library_folders())
     held = HeldErrors()
@@ -72,7 +79,7 @@ def _answer(job: Job, answer: Callable[[Description | Failure], None]) -> None:
     tempfile.tempdir = job.temporary
     try:
         alarm = partial(_set_alarm, job.limit, places, answer)
-        found: Description | Failure = _description(job, places, held, alarm)
+        found: Description | EvaluationFailure = _description(job, places, held, alarm)
         held.release()
     except (Exception, SystemExit, KeyboardInterrupt) as error:  # noqa: BLE001 - the user's code
         found = _failure(places, error, held)
@@ -90,12 +97,12 @@ def _library_folders() -> tuple[str, ...]:
 
 
 def _set_alarm(
-    limit: float, places: Places, answer: Callable[[Description | Failure], None]
+    limit: float, places: Places, answer: Callable[[Description | EvaluationFailure], None]
 ) -> None:
     def on_alarm(_: int, frame: FrameType | None) -> None:
         place = places.of_frames(frame)
         origin = places.origin(place) if place.file in places.files else places.of_visited()
-        answer(Failure(f"it is not evaluated after {limit:g} s", origin))
+        answer(EvaluationFailure(f"it is not evaluated after {limit:g} s", origin))
         # Whatever it hangs in may swallow an exception.
         os._exit(0)
 
@@ -103,10 +110,10 @@ def _set_alarm(
     signal.setitimer(signal.ITIMER_REAL, limit)
 
 
-def _failure(places: Places, error: BaseException, held: HeldErrors) -> Failure:
+def _failure(places: Places, error: BaseException, held: HeldErrors) -> EvaluationFailure:
     errors = trail(error)
     message, place = reason_of(errors[0], places)
-    return Failure(message, places.of_error(errors, place), held.texts(message))
+    return EvaluationFailure(message, places.of_error(errors, place), held.texts(message))
 
 
 class HeldErrors(logging.Filter):

@@ -22,10 +22,10 @@ from play_launch.config.substitutions import ament_prefixes
 from play_launch.container.ros import spawn_guard
 from play_launch.launch_files.records import (
     Description,
-    Failure,
+    EvaluationFailure,
     Job,
     LaunchFileError,
-    Origin,
+    LaunchOrigin,
     Place,
 )
 from play_launch.launch_files.records import decode as decode_records
@@ -74,7 +74,7 @@ def evaluate(
     if package := missing_package():
         what = f"{package}, which evaluates launch files, is not installed here"
         fix = "source a ROS with launch_ros, or run `play-launch dump` where it is"
-        raise LaunchFileError(Failure(f"{what}; {fix}", Origin(Place(str(path)))))
+        raise LaunchFileError(EvaluationFailure(f"{what}; {fix}", LaunchOrigin(Place(str(path)))))
     prefix = "play_launch_evaluation_"
     with tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True) as temporary:
         job = Job(
@@ -88,15 +88,17 @@ def evaluate(
         try:
             text = msgspec.json.encode(job).decode()
         except UnicodeEncodeError:
-            place = Origin(Place(ascii(job.path)))
-            raise LaunchFileError(Failure("its path or arguments are not UTF-8", place)) from None
+            place = LaunchOrigin(Place(ascii(job.path)))
+            raise LaunchFileError(
+                EvaluationFailure("its path or arguments are not UTF-8", place)
+            ) from None
         found = _run(job, text)
-    if isinstance(found, Failure):
+    if isinstance(found, EvaluationFailure):
         raise LaunchFileError(found)
     return found
 
 
-def _run(job: Job, text: str) -> Description | Failure:
+def _run(job: Job, text: str) -> Description | EvaluationFailure:
     guard = SessionGuard.start(spawn_guard())
     try:
         read, write = os.pipe()
@@ -130,8 +132,8 @@ def _environment() -> dict[str, str]:
     return {**os.environ, "AMENT_PREFIX_PATH": os.pathsep.join(map(str, prefixes))}
 
 
-def _failure(job: Job, message: str) -> Failure:
-    return Failure(message, Origin(Place(job.path)))
+def _failure(job: Job, message: str) -> EvaluationFailure:
+    return EvaluationFailure(message, LaunchOrigin(Place(job.path)))
 
 
 def _read(descriptor: int, limit: float) -> bytes | None:

@@ -20,7 +20,7 @@ from launch_ros.event_handlers import OnStateTransition
 from launch_ros.events.lifecycle import ChangeState, StateTransition
 
 from play_launch.config.model import Autostart
-from play_launch.launch_files.records import AtExit, Event, Process, StartCondition
+from play_launch.launch_files.records import AtExit, Event, LaunchedProcess, StartCondition
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -76,7 +76,7 @@ class EventSimulation:
         self._events: deque[_Emitted] = deque()
         self._registered: dict[int, _Registered] = {}
         self._heard: set[int] = set()
-        self._processes: list[tuple[Any, Process]] = []
+        self._processes: list[tuple[Any, LaunchedProcess]] = []
         self._states: dict[str, str] = {}
         self._timers: list[tuple[float, int, Any, _Registered]] = []
         self._count_of_timers = 0
@@ -103,7 +103,7 @@ class EventSimulation:
             self._scene.lost(self.current_part, what)
         return False
 
-    def executed(self, action: Any, process: Process) -> None:
+    def executed(self, action: Any, process: LaunchedProcess) -> None:
         """A process would be started; a managed node is unconfigured once it runs."""
         self._processes.append((action, process))
         if process.is_lifecycle:
@@ -196,7 +196,7 @@ class EventSimulation:
     def _shut_down(self, event: Any, conditions: Conditions, part: Any) -> None:
         if len(conditions) == 1 and conditions[0].event is Event.EXITED:
             unit = self._scene.unit(conditions[0].unit)
-            if isinstance(unit, Process):
+            if isinstance(unit, LaunchedProcess):
                 unit.on_exit = AtExit.SHUTDOWN
                 return
         when = self._scene.described(conditions) if conditions else "it was evaluated"
@@ -241,7 +241,9 @@ class EventSimulation:
             self._report_state(action, process, step.label, step.start, step.between)
             self._report_state(action, process, "transition_success", step.between, step.goal)
 
-    def _report_state(self, action: Any, process: Process, label: str, *states: str) -> None:
+    def _report_state(
+        self, action: Any, process: LaunchedProcess, label: str, *states: str
+    ) -> None:
         from lifecycle_msgs.msg import TransitionEvent  # noqa: PLC0415 - for managed nodes only
 
         message = TransitionEvent()
@@ -250,7 +252,9 @@ class EventSimulation:
         condition = StartCondition(event=Event.STATE, unit=process.id, state=states[1])
         self._post(StateTransition(action=action, msg=message), condition)
 
-    def _note_transition(self, process: Process, step: _Step, conditions: Conditions) -> None:
+    def _note_transition(
+        self, process: LaunchedProcess, step: _Step, conditions: Conditions
+    ) -> None:
         """Note how far the node is brought; report where that has further conditions."""
         if step.label not in _AUTOSTART:
             when = self._scene.described(conditions)

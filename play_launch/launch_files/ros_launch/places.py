@@ -16,7 +16,7 @@ from xml.etree.ElementTree import ParseError
 
 import yaml
 
-from play_launch.launch_files.records import Origin, Place
+from play_launch.launch_files.records import LaunchOrigin, Place
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -125,7 +125,7 @@ class Places:
         finally:
             self._within = within
 
-    def origin(self, place: Place) -> Origin:
+    def origin(self, place: Place) -> LaunchOrigin:
         """Return a place with the includes that led there."""
         return _origin(place, self.includes)
 
@@ -134,7 +134,7 @@ class Places:
         if place.file and not hasattr(error, _ATTRIBUTE):
             setattr(error, _ATTRIBUTE, (place, list(self.includes)))
 
-    def of_error(self, errors: Sequence[BaseException], place: Place) -> Origin:
+    def of_error(self, errors: Sequence[BaseException], place: Place) -> LaunchOrigin:
         """Return where an error arose, the first of those that led to one another.
 
         A place that the error itself names counts most.
@@ -143,7 +143,7 @@ class Places:
         own, includes = noted[0] if noted else (self._last_file(), [])
         return _origin(place if place.file else own, includes)
 
-    def of_visited(self) -> Origin:
+    def of_visited(self) -> LaunchOrigin:
         """Return what is going on, for what happens in no launch file."""
         if self._within:
             return self.origin(self._within[-1])
@@ -153,11 +153,11 @@ class Places:
         return Place(self.files[-1]) if self.files else NOWHERE
 
 
-def _origin(place: Place, includes: Sequence[Place]) -> Origin:
+def _origin(place: Place, includes: Sequence[Place]) -> LaunchOrigin:
     # What includes itself is named once.
     chain = tuple(dict.fromkeys(reversed(includes)))
     # An include that cannot be carried out is no part of its own chain.
-    return Origin(place, chain[1:] if chain and chain[0] == place else chain)
+    return LaunchOrigin(place, chain[1:] if chain and chain[0] == place else chain)
 
 
 def xml_lines(text: bytes) -> list[int]:

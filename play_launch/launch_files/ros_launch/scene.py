@@ -12,9 +12,9 @@ from play_launch.launch_files.records import (
     Argument,
     Description,
     Event,
+    LaunchedProcess,
     Loss,
     ParameterFile,
-    Process,
     StartCondition,
     TemporaryFile,
 )
@@ -179,7 +179,7 @@ class Scene:
         kept: dict[str, None] = {}
         for unit in self.description.units:
             texts = [str(each.value) for each in unit.parameters]
-            if isinstance(unit, Process):
+            if isinstance(unit, LaunchedProcess):
                 texts += [*unit.command, *unit.arguments, *unit.ros_arguments, *unit.prefix]
                 texts += [unit.cwd, *(value for _, value in unit.environment)]
             for text in texts:

@@ -10,7 +10,13 @@ from launch.utilities import normalize_to_list_of_substitutions, perform_substit
 from launch_ros.actions import ComposableNodeContainer, LifecycleNode, Node, load_composable_nodes
 
 from play_launch.launch_files.parameters import take_sections
-from play_launch.launch_files.records import OUTPUTS, Composable, Process, ProgramKind, Values
+from play_launch.launch_files.records import (
+    OUTPUTS,
+    Composable,
+    LaunchedProcess,
+    ProgramKind,
+    Values,
+)
 from play_launch.launch_files.ros_launch.rcl_parameters import (
     RclParameters,
     RclParametersError,
@@ -29,9 +35,9 @@ _DEFAULT_TIMEOUT: Final = 5.0
 _DEFAULT_FORMAT: Final = "[{this.process_description.final_name}] {line}"
 
 
-def record_process(scene: Scene, action: Any) -> Process:
+def record_process(scene: Scene, action: Any) -> LaunchedProcess:
     """Return the record of an action that is about to be executed and has been prepared."""
-    process = Process(
+    process = LaunchedProcess(
         id=scene.next_id("p"),
         origin=scene.places.origin(scene.places.of_part(action)),
         start=list(scene.causes.now),
@@ -55,7 +61,7 @@ def record_process(scene: Scene, action: Any) -> Process:
     return process
 
 
-def _read_settings(scene: Scene, process: Process, action: Any) -> None:
+def _read_settings(scene: Scene, process: LaunchedProcess, action: Any) -> None:
     context, description = scene.context, action.process_description
     if description.name is not None:
         process.label = perform_substitutions(context, description.name)
@@ -89,7 +95,7 @@ def _timeout(scene: Scene, value: Any) -> float | None:
     return None if seconds == _DEFAULT_TIMEOUT else seconds
 
 
-def _output(scene: Scene, process: Process, output: Any, *, has_output: bool) -> str:
+def _output(scene: Scene, process: LaunchedProcess, output: Any, *, has_output: bool) -> str:
     if isinstance(output, dict):
         kinds = {str(kind) for kind in output.values()}
         if set(output) == {"both"}:
@@ -102,7 +108,9 @@ def _output(scene: Scene, process: Process, output: Any, *, has_output: bool) ->
     return text if text != _DEFAULT_OUTPUT or has_output else ""
 
 
-def _read_environment(scene: Scene, process: Process, environment: Mapping[str, str]) -> None:
+def _read_environment(
+    scene: Scene, process: LaunchedProcess, environment: Mapping[str, str]
+) -> None:
     before = scene.environment
     process.environment = [
         (name, value) for name, value in sorted(environment.items()) if before.get(name) != value
@@ -110,7 +118,7 @@ def _read_environment(scene: Scene, process: Process, environment: Mapping[str, 
     process.unset = sorted(before.keys() - environment.keys())
 
 
-def _read_node(scene: Scene, process: Process, action: Any, words: list[str]) -> None:
+def _read_node(scene: Scene, process: LaunchedProcess, action: Any, words: list[str]) -> None:
     is_container = isinstance(action, ComposableNodeContainer)
     process.kind = ProgramKind.CONTAINER if is_container else ProgramKind.NODE
     process.is_lifecycle = isinstance(action, LifecycleNode)
@@ -142,7 +150,7 @@ def _parted(action: Any, words: list[str]) -> tuple[list[str], list[str], list[s
     return own, rest[1:count] if count else [], rest[count + 1 :]
 
 
-def _read_added(scene: Scene, process: Process, added: list[str]) -> None:
+def _read_added(scene: Scene, process: LaunchedProcess, added: list[str]) -> None:
     """Read what launch_ros puts behind the arguments: names, parameters, remappings."""
     reader = RclParameters()
     try:
@@ -160,7 +168,7 @@ def _read_added(scene: Scene, process: Process, added: list[str]) -> None:
         reader.close()
 
 
-def _read_remapping(process: Process, rule: str) -> None:
+def _read_remapping(process: LaunchedProcess, rule: str) -> None:
     source, _, target = rule.partition(":=")
     if source == "__node":
         process.name = target
@@ -171,7 +179,7 @@ def _read_remapping(process: Process, rule: str) -> None:
 
 
 def _read_parameters(
-    scene: Scene, process: Process, reader: RclParameters, word: str, value: str
+    scene: Scene, process: LaunchedProcess, reader: RclParameters, word: str, value: str
 ) -> None:
     try:
         if word == "-p":

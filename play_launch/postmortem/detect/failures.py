@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.config.durations import duration
-from play_launch.postmortem.declared import Place
+from play_launch.postmortem.declared import DeclaredPlace
 from play_launch.postmortem.findings import Finding
 from play_launch.postmortem.frames import blamed
 from play_launch.postmortem.known_causes import known_cause
@@ -21,18 +21,18 @@ _MANY: Final = 8
 """Delays that are listed."""
 
 
-class _Words(NamedTuple):
+class _FailureText(NamedTuple):
     rank: int
     says: str
 
 
 _WORDS: Final = {
-    Fault.CRASHED: _Words(0, "crashed {when}"),
-    Fault.DIED: _Words(0, "died {when}"),
-    Fault.LOAD_FAILED: _Words(0, "failed to load {when}"),
-    Fault.KILLED: _Words(0, "was killed by play-launch {when}"),
-    Fault.STOP_TIMEOUT: _Words(4, "did not stop when it was asked to and was killed {when}"),
-    Fault.SLOW: _Words(5, "was slow to construct: it was not ready at {at}"),
+    Fault.CRASHED: _FailureText(0, "crashed {when}"),
+    Fault.DIED: _FailureText(0, "died {when}"),
+    Fault.LOAD_FAILED: _FailureText(0, "failed to load {when}"),
+    Fault.KILLED: _FailureText(0, "was killed by play-launch {when}"),
+    Fault.STOP_TIMEOUT: _FailureText(4, "did not stop when it was asked to and was killed {when}"),
+    Fault.SLOW: _FailureText(5, "was slow to construct: it was not ready at {at}"),
 }
 _IN_CONSTRUCTOR: Final = "crashed in its constructor {when}"
 _DID: Final = {
@@ -51,7 +51,7 @@ def detect(timeline: Timeline) -> Iterator[Finding]:
         if each.fault is Fault.LOAD_FAILED and each.is_crash:
             says = _IN_CONSTRUCTOR
         number = blamed(each.frames)
-        place = Place(
+        place = DeclaredPlace(
             frame=None if number is None else each.frames[number],
             plugin=each.plugin,
             package=each.package,

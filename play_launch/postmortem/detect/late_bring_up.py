@@ -6,7 +6,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.durations import duration
-from play_launch.postmortem.declared import Place
+from play_launch.postmortem.declared import DeclaredPlace
 from play_launch.postmortem.findings import Finding
 from play_launch.supervisor.events import NodeState, SubjectKind
 
@@ -47,7 +47,7 @@ def detect(timeline: Timeline) -> Iterator[Finding]:
         key=last.key,
         times_ns=(last.ready_ns,),
         cause=", ".join(_chain(last, container, started)),
-        place=Place(container=last.container),
+        place=DeclaredPlace(container=last.container),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from play_launch.postmortem.declared import Place
+from play_launch.postmortem.declared import DeclaredPlace
 from play_launch.postmortem.findings import Finding
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind
 
@@ -47,7 +47,7 @@ def detect(timeline: Timeline) -> Iterator[Finding]:
             key=unit.key,
             times_ns=(unit.since_ns,),
             cause=unit.reason,
-            place=Place(container=unit.container),
+            place=DeclaredPlace(container=unit.container),
             state=str(state),
             since_ns=unit.since_ns,
             last_lines=timeline.last_lines(unit),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.durations import duration
-from play_launch.postmortem.declared import Place
+from play_launch.postmortem.declared import DeclaredPlace
 from play_launch.postmortem.findings import Finding
 from play_launch.postmortem.units import Fault
 
@@ -47,5 +47,5 @@ def detect(timeline: Timeline) -> Iterator[Finding]:
             key=key,
             times_ns=(first,),
             cause=f"it failed {count} times within {duration(lasted)}",
-            place=Place(container=unit.container),
+            place=DeclaredPlace(container=unit.container),
         )

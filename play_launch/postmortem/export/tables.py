@@ -32,7 +32,7 @@ _BATCH: Final = 50_000
 """Rows of one group in a Parquet file."""
 
 
-class Row(NamedTuple):
+class TableRow(NamedTuple):
     """One row, and which table it belongs to."""
 
     table: str
@@ -49,7 +49,7 @@ class TableWriter(Protocol):
         """Complete the file. Raises OSError."""
 
 
-def rows(session: PastSession) -> Iterator[Row]:
+def rows(session: PastSession) -> Iterator[TableRow]:
     """Give the rows of all tables while a session is read; ``time_s`` is seconds since its start.
 
     Raises:
@@ -60,27 +60,27 @@ def rows(session: PastSession) -> Iterator[Row]:
         if made is not None:
             table, values = made
             time_s = (happened.log_time - session.started_ns) / 1e9
-            yield Row(table, {"time_s": round(time_s, 6), **values})
+            yield TableRow(table, {"time_s": round(time_s, 6), **values})
 
 
-def _row(event: RunEvent) -> Row | None:
+def _row(event: RunEvent) -> TableRow | None:
     match event:
         case ProcessSample():
             values = structs.asdict(event)
             values["kind"] = event.kind.name.lower()
             values["memory_kind"] = event.memory_kind.name.lower()
-            return Row("processes", values)
+            return TableRow("processes", values)
         case GroupSample():
             values = structs.asdict(event)
             values["kind"] = event.kind.name.lower()
-            return Row("cgroups", values)
+            return TableRow("cgroups", values)
         case SystemSample():
             values = structs.asdict(event)
             for name in ("core_percent", "core_mhz"):
                 what = name.removeprefix("core_")
                 cores = values.pop(name)
                 values |= {f"core_{core}_{what}": value for core, value in enumerate(cores)}
-            return Row("machine", values)
+            return TableRow("machine", values)
         case NodeStateChanged():
             return _state(event, SubjectKind.NODE, str(event.key), event.state.name, event.reason)
         case ContainerStateChanged():
@@ -98,8 +98,8 @@ def _state(
     key: str,
     state: str,
     reason: str,
-) -> Row:
-    return Row(
+) -> TableRow:
+    return TableRow(
         "states",
         {
             "stamp_ns": event.stamp_ns,

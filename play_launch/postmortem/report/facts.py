@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from play_launch.postmortem.parameters import shortened
 from play_launch.postmortem.report.configuration import Configuration, configuration
-from play_launch.postmortem.report.gather import Arrival, Mark, Row  # noqa: TC001 - fields of a Struct
+from play_launch.postmortem.report.gather import Arrival, Mark, PageRow  # noqa: TC001 - fields of a Struct
 from play_launch.postmortem.report.page import shown
 from play_launch.postmortem.report.series import packed, quantised, time_planes, value_planes
 from play_launch.postmortem.report.usage import PROCESS_COLUMNS, SYSTEM_COLUMNS
@@ -102,7 +102,7 @@ class Facts(Struct, frozen=True, kw_only=True):
     notices: tuple[str, ...]
     """What cannot be read, or is left out."""
     story: tuple[Point, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[PageRow, ...]
     marks: tuple[Mark, ...]
     came_up: float | None
     arrivals: tuple[Arrival, ...]

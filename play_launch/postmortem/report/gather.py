@@ -94,7 +94,7 @@ _OF_PROCESS: Final = {
 }
 
 
-class Row(Struct, frozen=True):
+class PageRow(Struct, frozen=True):
     """One unit whose life the timeline shows."""
 
     kind: str
@@ -189,9 +189,9 @@ class Gathered:
     def at(self, log_time: int) -> float:
         return max(0.0, (log_time - self.started_ns) / 1e6)
 
-    def rows(self) -> tuple[Row, ...]:
+    def rows(self) -> tuple[PageRow, ...]:
         return tuple(
-            Row(unit.kind.name.lower(), shown(unit.name), shown(unit.container))
+            PageRow(unit.kind.name.lower(), shown(unit.name), shown(unit.container))
             for unit in self.timeline.units[:NO_UNIT]
         )
 

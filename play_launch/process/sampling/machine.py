@@ -17,7 +17,7 @@ _FREQUENCY: Final = "/sys/devices/system/cpu/cpu{}/cpufreq/scaling_cur_freq"
 _ALL: Final = -1
 
 
-class Machine:
+class MachineSampler:
     """Measures the machine; percentages are of the time since the last measurement."""
 
     def __init__(self, folder: Path) -> None:

@@ -11,7 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from play_launch.process.sampling.groups import GroupSampler
-from play_launch.process.sampling.machine import Machine
+from play_launch.process.sampling.machine import MachineSampler
 from play_launch.process.sampling.processes import Sampler, targets
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ async def sample(
     loop = asyncio.get_running_loop()
     has_failed = False
     try:
-        machine, sampler = await _in_a_thread(lambda: Machine(folder)), Sampler()
+        machine, sampler = await _in_a_thread(lambda: MachineSampler(folder)), Sampler()
         groups = GroupSampler()
         due = loop.time() + period
         while True:
@@ -74,7 +74,7 @@ def next_due(due: float, now: float, period: float) -> float:
 
 
 def _measure(
-    machine: Machine, sampler: Sampler, groups: GroupSampler, view: SystemView
+    machine: MachineSampler, sampler: Sampler, groups: GroupSampler, view: SystemView
 ) -> tuple[list[Sample], list[str]]:
     """Return samples and warnings."""
     stamp_ns = time.time_ns()

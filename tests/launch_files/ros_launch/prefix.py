@@ -9,7 +9,12 @@ from textwrap import dedent
 
 import pytest
 
-from play_launch.launch_files.records import Composable, Description, LaunchFileError, Process
+from play_launch.launch_files.records import (
+    Composable,
+    Description,
+    LaunchedProcess,
+    LaunchFileError,
+)
 from play_launch.launch_files.ros_launch.evaluate import evaluate
 from tests.support.launch import needs_launch, use_launch
 
@@ -87,8 +92,8 @@ def prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Prefix]:
     assert [str(path) for path in (tmp_path / "home").rglob("*")] == []
 
 
-def processes(description: Description) -> list[Process]:
-    return [unit for unit in description.units if isinstance(unit, Process)]
+def processes(description: Description) -> list[LaunchedProcess]:
+    return [unit for unit in description.units if isinstance(unit, LaunchedProcess)]
 
 
 def composables(description: Description) -> list[Composable]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from play_launch.config.model import ParameterType
-from play_launch.launch_files.records import ParameterFile, Process, ProgramKind, Values
+from play_launch.launch_files.records import LaunchedProcess, ParameterFile, ProgramKind, Values
 from tests.launch_files.ros_launch.prefix import (
     Prefix,
     composables,
@@ -36,7 +36,7 @@ def generate_launch_description():
 """
 
 
-def values(process: Process) -> dict[str, object]:
+def values(process: LaunchedProcess) -> dict[str, object]:
     return {each.name: each.value for each in process.parameters}
 
 

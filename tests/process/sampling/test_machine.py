@@ -7,11 +7,11 @@ from pathlib import Path
 import psutil
 import pytest
 
-from play_launch.process.sampling.machine import Machine, core_times
+from play_launch.process.sampling.machine import MachineSampler, core_times
 
 
 def test_this_machine(tmp_path: Path) -> None:
-    machine = Machine(tmp_path)
+    machine = MachineSampler(tmp_path)
     begin = psutil.cpu_times()
     while psutil.cpu_times() == begin:
         os.sched_yield()
@@ -41,7 +41,7 @@ def test_a_core_that_is_offline_has_no_percentage(
         return text.format(next(ticks)) if is_it else real(path, encoding)
 
     monkeypatch.setattr(Path, "read_text", read)
-    percent = Machine(tmp_path).sample(2).core_percent
+    percent = MachineSampler(tmp_path).sample(2).core_percent
     assert [math.isnan(one) for one in percent] == [False, True, False]
     assert percent[0] == 100
 

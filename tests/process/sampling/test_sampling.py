@@ -93,16 +93,16 @@ def test_a_sample_that_fails_is_reported_once_and_others_follow(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     count = 0
-    measure = machine.Machine.sample
+    measure = machine.MachineSampler.sample
 
-    def measured(self: machine.Machine, stamp_ns: int) -> SystemSample:
+    def measured(self: machine.MachineSampler, stamp_ns: int) -> SystemSample:
         nonlocal count
         count += 1
         if count in {2, 3}:
             raise OSError(24, "Too many open files", "/proc/meminfo")
         return measure(self, stamp_ns)
 
-    monkeypatch.setattr(machine.Machine, "sample", measured)
+    monkeypatch.setattr(machine.MachineSampler, "sample", measured)
     assert len(asyncio.run(run_until(3, tmp_path))) >= 3
     (record,) = caplog.records
     assert "Too many open files: '/proc/meminfo'" in record.getMessage()
