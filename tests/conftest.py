@@ -112,8 +112,8 @@ def _nothing_is_left_behind() -> Iterator[None]:
     children = psutil.Process().children(recursive=True)
     left = [f"{child.pid} {' '.join(child.cmdline())}" for child in children if child.is_running()]
     assert not left, "processes are left: " + "; ".join(left)
-    # What killed participants leave is removed by the next start, and here after the last one. That
-    # who ends in order leaves nothing is asserted where it ends: `support.replay`, `test_stopping`.
+    # What killed participants leave is removed by the next start, and here after the last one.
+    # `support.replay` and `test_stopping` assert that an orderly end leaves nothing.
     sweep()
 
 

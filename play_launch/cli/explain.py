@@ -111,7 +111,7 @@ def headline(finding: Finding, started_ns: int) -> str:
 
 
 def details(finding: Finding) -> Iterator[str]:
-    """Give the lines that follow: cause, place, fix, what was before and what came of it."""
+    """Give the lines that follow: cause, place, fix, state before and result."""
     if cause := _cause(finding):
         yield f"Cause: {cause}."
     if place := _place(finding.place):
@@ -175,7 +175,7 @@ def _parameters(known: ParametersOfALife, at_ns: int) -> Iterator[str]:
 
 
 def change(changed: Changed) -> str:
-    """Say what happened to a parameter: ``parameter gain changed from 1.0 to 2.5``."""
+    """Word the change of a parameter: ``parameter gain changed from 1.0 to 2.5``."""
     if changed.after is None:
         return f"parameter {changed.name} was deleted"
     since = "" if changed.before is None else f" from {_value(changed.before)}"

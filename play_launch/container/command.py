@@ -217,16 +217,6 @@ def parameter_file_text(sections: Iterable[tuple[str, Iterable[ParameterConfig]]
     return str(yaml.serialize(tree, width=float("inf"), allow_unicode=True))
 
 
-def parameter_text(parameter: ParameterConfig) -> str:
-    """Spell the value of a parameter as it stands behind `-p name:=`.
-
-    Raises:
-        ParameterFileError: As `parameter_file_text`.
-    """
-    text = str(yaml.serialize(_node(parameter), width=float("inf"), allow_unicode=True))
-    return text.removesuffix("...\n").strip()
-
-
 def write_parameter_file(text: str, directory: Path) -> Path:
     """Write a parameter file with a name of its own into `directory`; its owner deletes it.
 

@@ -26,7 +26,7 @@ def text_of(path: str) -> str:
     """Return what stands in a file.
 
     Raises:
-        UnreadableError: When there is none, or it is no text.
+        UnreadableError: When the file is missing or not text.
     """
     content = read_bytes(Path(path), LARGEST)
     if isinstance(content, Refused):

@@ -305,7 +305,7 @@ class Job(Struct, frozen=True, kw_only=True):
     """What is to be evaluated, within `limit` seconds.
 
     `only_arguments` reads the file without visiting it. Without `is_faster` launch does everything
-    as often as it does by itself.
+    as often as `ros2 launch` does.
     """
 
     path: str

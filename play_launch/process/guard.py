@@ -7,6 +7,7 @@ order of the requests; the event loop goes on meanwhile.
 from __future__ import annotations
 
 import array
+import asyncio
 import atexit
 import errno
 import os
@@ -21,10 +22,10 @@ from typing import TYPE_CHECKING, BinaryIO, Final, Protocol, Self
 
 from play_launch.process import open_files
 from play_launch.process.exit import Exit
+from play_launch.process.identity import ancestors_of
 from play_launch.process.time_slice import ask_for_short_turns
 
 if TYPE_CHECKING:
-    import asyncio
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
@@ -112,8 +113,6 @@ class SessionGuard:
         self._loop: asyncio.AbstractEventLoop | None = None
         """The one that reads answers, while there are questions."""
         self._limit: asyncio.TimerHandle | None = None
-        from play_launch.process.identity import ancestors_of  # noqa: PLC0415 - it runs by now
-
         self._ancestors = ancestors_of(os.getpid())
         atexit.register(self._say_farewell)
 
@@ -244,8 +243,6 @@ class SessionGuard:
 
     async def end(self) -> None:
         """Have everything ended that is left, and wait for that."""
-        import asyncio  # noqa: PLC0415 - a guard is started before it is imported
-
         self._let_go()
         await asyncio.to_thread(self._wait_for_end)
 
@@ -284,8 +281,6 @@ class SessionGuard:
 
     async def _ask(self, request: bytes, descriptors: Sequence[int] = ()) -> tuple[int, int, int]:
         """Send a request in its turn and wait for the answer; raises OSError."""
-        import asyncio  # noqa: PLC0415 - a guard is started before it is imported
-
         if self._is_lost:
             raise _loss()
         loop = asyncio.get_running_loop()

@@ -88,7 +88,7 @@ extern "C" {
 }
 
 /// The C library's takes a lock for its first steps, in the memory that all nodes share: after a
-/// node that was ended there, every other abort() of the container would wait for ever.
+/// node that was ended there, every other abort() of the container would hang.
 [[noreturn, gnu::visibility("default")]] void abort() noexcept {
   sigset_t only;
   ::sigemptyset(&only);

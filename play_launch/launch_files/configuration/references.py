@@ -122,7 +122,7 @@ def add_order(
 
 
 def _dependency(condition: StartCondition, target: Unit, name: str) -> dict[str, Any] | str:
-    """Return the entry of `depends_on`, or why there is none."""
+    """Return the entry of `depends_on`, or the reason why it cannot have one."""
     is_process = isinstance(target, LaunchedProcess)
     match condition.event:
         case Event.STARTED if is_process:

@@ -11,9 +11,9 @@ first 63 participants of a domain instead of 32.
 
 **With an end.** Where a participant is destroyed while one of its discovery callbacks runs, Fast
 DDS of the ROS wheels may wait in a loop that keeps the mutex from that callback, for seconds or
-for ever, while rclpy holds Python's lock. The cause is a deadline that overflows
+for good, while rclpy holds Python's lock. The cause is a deadline that overflows
 (``overrides/condition_deadline.cpp`` of the container's sources). And where a reader in shared
-memory exits amid a message, a writer may wait for itself for ever (``overrides/owned_lock.cpp``).
+memory exits amid a message, a writer may hang on its own lock (``overrides/owned_lock.cpp``).
 Our native programs define the functions that Fast DDS waits with; here they are replaced in the
 library that is loaded.
 """
