@@ -8,11 +8,13 @@ import { parse } from "@foxglove/rosmsg";
 import { MessageReader } from "@foxglove/rosmsg2-serialization";
 import { McapIndexedReader } from "@mcap/core";
 import { FileHandleReadable } from "@mcap/nodejs";
+import { loadDecompressHandlers } from "@mcap/support";
 import { open } from "node:fs/promises";
 
 const [file, ...topics] = process.argv.slice(2);
 const reader = await McapIndexedReader.Initialize({
   readable: new FileHandleReadable(await open(file, "r")),
+  decompressHandlers: await loadDecompressHandlers(),
 });
 const decoders = new Map();
 const text = new TextDecoder();
@@ -23,7 +25,7 @@ for await (const message of reader.readMessages({ topics, validateCrcs: true }))
     const schema = text.decode(reader.schemasById.get(channel.schemaId).data);
     decoders.set(message.channelId, new MessageReader(parse(schema, { ros2: true })));
   }
-  const { data, header } = decoders.get(message.channelId).readMessage(message.data);
+  const { msg, data = msg, header } = decoders.get(message.channelId).readMessage(message.data);
   const isText = typeof data === "string";
   console.log(
     JSON.stringify({
