@@ -64,7 +64,8 @@ class ContainerActor(ProcessActor):
         self._queries = Queries(name)
         self._dropped = 0
         """Frames that its process has dropped so far."""
-        self._watch = ContainerWatch(name, clock=system.time, limits=system.watch_limits)
+        self._watch = ContainerWatch(name, self.send, 0)
+        self._watching: anyio.CancelScope | None = None
         self._probes: list[anyio.CancelScope] = []
 
     @property
@@ -101,10 +102,13 @@ class ContainerActor(ProcessActor):
         return True
 
     def _stops(self) -> None:
-        self._watch.end()
+        """Silence means nothing from now on."""
+        if self._watching is not None:
+            self._watching.cancel()
+            self._watching = None
 
     async def _drained(self) -> None:
-        self._watch.end()
+        self._stops()
         self._is_draining = True
         with anyio.move_on_after(_LAST_WORDS):
             await self._has_ended.wait()
@@ -116,7 +120,7 @@ class ContainerActor(ProcessActor):
         if self._link is not None:
             self._link.close()
             self._link = None
-        self._watch.end()
+        self._stops()
 
     async def _clean_up(self) -> None:
         # A lock that a killed participant left would keep the next one waiting.
@@ -124,14 +128,9 @@ class ContainerActor(ProcessActor):
         if process is not None and is_wanted(self._system.world, process):
             await self._system.launcher.clean_up()
 
-    def next_deadline(self) -> float | None:
-        """When the watch is due next."""
-        return self._watch.due
-
-    def on_time(self) -> None:
-        """Check whether it still answers."""
-        if frozen := self._watch.on_time():
-            self._system.post(Faulty(self.name, self._start, frozen, cause=Cause.FROZEN))
+    async def _watch_it(self, watch: ContainerWatch, start: int) -> None:
+        frozen = await watch.run()
+        self._system.post(Faulty(self.name, start, frozen, cause=Cause.FROZEN))
 
     # Its channel.
 
@@ -161,8 +160,9 @@ class ContainerActor(ProcessActor):
         config = self.config
         is_first = self._system.world.processes[self.name].phase is Phase.STARTING
         pid = hello.pid or self.pid
-        if is_first and self._link is not None and not config.prefix:  # a debugger may stop it
-            self._watch.begin(self._link.send, pid)
+        if is_first and not config.prefix:  # a debugger may stop it
+            self._watch = ContainerWatch(self.name, self.send, pid)
+            self._watching = self._begin_task(partial(self._watch_it, self._watch, start))
         facts = Hello(mechanism=hello.mechanism, description=description(hello))
         self._system.post(Greeted(self.name, start, facts))
         if not is_first:
@@ -206,7 +206,6 @@ class ContainerActor(ProcessActor):
         counts, locks = (status.leaked, status.unquiesced), status.dead_locks
         is_well = not (silences or locks or all(counts))
         if is_well and self._well_with == counts:
-            self._system.wake_by(self._watch.due)
             return True
         self._well_with = counts if is_well else None
         holder = lock_holder(locks[0]) if locks else 0

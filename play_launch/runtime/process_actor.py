@@ -172,13 +172,6 @@ class ProcessActor:
         if self._was_killed:
             await self._system.launcher.clean_up()
 
-    def next_deadline(self) -> float | None:
-        """When `on_time` has to be called next; None: nothing is due."""
-        return None
-
-    def on_time(self) -> None:
-        """Do what is due."""
-
     def _check_resources(self, pid: int) -> None:
         report_shortfalls(self.name, self.config.resources, pid, self._system.publisher)
         self._system.launcher.groups.check(self.name, pid)

@@ -18,7 +18,6 @@ from play_launch.runtime.container_actor import ContainerActor
 from play_launch.runtime.outside import Conversations, Outside
 from play_launch.runtime.process_actor import ProcessActor, Tasks
 from play_launch.runtime.publisher import EventLog
-from play_launch.runtime.watch import WATCH_LIMITS
 from play_launch.supervisor import inputs
 from play_launch.supervisor.conditions import awaited_dependencies, has_ended, pending_units
 from play_launch.supervisor.difference import NOTHING, Snapshot, events_between
@@ -92,8 +91,6 @@ class System:
         self._conversations = Conversations(self)
         self._applying: Applying | None = None
         self._pending_at_end: tuple[str, ...] | None = None
-        self.time = self._loop.time
-        self.watch_limits = WATCH_LIMITS
         self.probe_slots = anyio.Semaphore(max(2, os.cpu_count() or 1))
         """For scratch processes: loading a library is CPU time and reading."""
         publisher.add_sink(self._outside)
@@ -172,7 +169,7 @@ class System:
         self._set_timer()
 
     def _set_timer(self) -> None:
-        due = self._due()
+        due = deadline(self.world)
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -181,29 +178,13 @@ class System:
                 due = max(due, self._loop.time() + _RETRY_INTERVAL)
             self._timer = self._loop.call_at(due, self._on_time)
 
-    def wake_by(self, due: float | None) -> None:
-        """Let the timer fire at ``due`` (seconds of the loop's clock) at the latest."""
-        if due is not None and (self._timer is None or self._timer.when() > due):
-            self._set_timer()
-
-    def _due(self) -> float | None:
-        times = [deadline(self.world), *(each.next_deadline() for each in self._actors.values())]
-        return min((at for at in times if at is not None), default=None)
-
     def _on_time(self) -> None:
         self._timer = None
         self._is_overdue = False
-        now = self._loop.time()
-        for actor in tuple(self._actors.values()):
-            if (due := actor.next_deadline()) is None or due > now:
-                continue
-            try:
-                actor.on_time()
-            except Exception as error:  # noqa: BLE001 - it is the failure of its unit alone
-                self.fail(actor.name, error)
         if self._is_due():
             self.post(inputs.Time())
-        self._set_timer()
+        else:  # the clock of the loop is coarse: a timer may fire early
+            self._set_timer()
 
     def _carry_out(self, effect: Effect) -> None:
         match effect:
@@ -311,7 +292,7 @@ class System:
         for actor in self._actors.values():
             if actor.is_deserted and not self.world.processes[actor.name].is_stuck:
                 return f"{actor.name}: the exit of its process {actor.pid} is not awaited"
-        due = self._due()
+        due = deadline(self.world)
         late = 0.0 if due is None or self._is_closed else self._loop.time() - due
         return f"what was due {late:.0f} s ago is not done" if late > LATE else ""
 

@@ -6,9 +6,8 @@ import logging
 import math
 from typing import TYPE_CHECKING, Final
 
-from msgspec import Struct
+import anyio
 
-from play_launch.container.channel import ControlError
 from play_launch.container.messages import NO_NODE, Query
 from play_launch.process.identity import tracer_of
 from play_launch.process.processor_wait import own_wait, processor_wait
@@ -29,24 +28,18 @@ _REPORT_INTERVAL: Final = 10.0
 """Seconds between two reports of a count that grows."""
 
 
-class WatchLimits(Struct, frozen=True, kw_only=True):
-    """Time limits, in seconds."""
-
-    interval: float = 1.0
-    """From an answer to the next query."""
-    timeout: float = 3.0
-    """From a query to the verdict."""
-    last_look: float = 0.5
-    """Last part of the timeout, in which the wait of both sides for a processor is measured."""
-    want: float = 0.1
-    """Wait for a processor in that part from which on the timeout is extended."""
-    longest: float = 30.0
-    """Extension after which a process that does not answer counts as frozen."""
-    lateness: float = 0.5
-    """Delay of a check from which on the supervisor itself was not running."""
-
-
-WATCH_LIMITS: Final = WatchLimits()
+INTERVAL: Final = 1.0
+"""Seconds from an answer to the next query."""
+TIMEOUT: Final = 3.0
+"""Seconds from a query to the verdict."""
+LAST_PART: Final = 0.5
+"""Seconds of the timeout in which the wait of both sides for a processor is measured."""
+WANT: Final = 0.1
+"""Seconds of waiting for a processor in that part from which on the timeout is extended."""
+LONGEST: Final = 30.0
+"""Seconds of extension after which a process that does not answer counts as frozen."""
+LATENESS: Final = 0.5
+"""Seconds of delay of a check from which on the supervisor itself was not running."""
 
 
 def waits(pid: int) -> tuple[ProcessorWait, ProcessorWait]:
@@ -55,40 +48,17 @@ def waits(pid: int) -> tuple[ProcessorWait, ProcessorWait]:
 
 
 class ContainerWatch:
-    """Watches one container process after the other; times are seconds of the loop's clock."""
+    """Watches one process of a container."""
 
-    def __init__(self, container: str, *, clock: Callable[[], float], limits: WatchLimits) -> None:
-        """Watch nothing yet."""
+    def __init__(self, container: str, send: Callable[[Outgoing], None], pid: int) -> None:
+        """Watch nothing before `run`; ``send`` sends it a query, or nothing if it has exited."""
         self._container = container
-        self._clock = clock
-        self._limits = limits
-        self._query_id = _FIRST_QUERY
-        self._send: Callable[[Outgoing], None] | None = None
-        self._pid = 0
-        self._is_traced = False
-        self._reported: dict[str, tuple[int, float]] = {}
-        """By text: the count that was reported last, and when it may be reported again."""
-        self._reset(None)
-
-    def _reset(self, due: float | None) -> None:
-        self.due = due
-        """When `on_time` has to be called next; None when nothing is due."""
-        self._is_open = False
-        """Whether a query is not answered yet."""
-        self._suspected_at: float | None = None
-        """Since when the waits for a processor are measured."""
-        self._noted: tuple[ProcessorWait, ProcessorWait] | None = None
-
-    def begin(self, send: Callable[[Outgoing], None], pid: int) -> None:
-        """Watch a process that has just sent its hello."""
         self._send = send
         self._pid = pid
-        self._is_traced, self._reported = False, {}
-        self._reset(self._clock() + self._limits.interval)
-
-    def end(self) -> None:
-        """Stop watching: the process exited, or is being stopped."""
-        self._reset(None)
+        self._query_id = _FIRST_QUERY
+        self._answered = anyio.Event()
+        self._reported: dict[str, tuple[int, float]] = {}
+        """By text: the count that was reported last, and when it may be reported again."""
 
     def accept(self, status: Status) -> bool:
         """Accept an answer; False if it answers another query than the watchdog's."""
@@ -96,71 +66,70 @@ class ContainerWatch:
         self._report(text, status.leaked, status.crashes)
         text = "%s: %d of %d crashed nodes were killed; locks they held may remain locked"
         self._report(text, status.unquiesced, status.crashes)
-        if status.query_id < _FIRST_QUERY:
-            return False
-        if self._is_open and status.query_id == self._query_id:
-            if self._is_traced:
-                self._is_traced = False
-                _log.warning("%s answers again", self._container)
-            self._reset(self._clock() + self._limits.interval)
-        return True
+        if status.query_id == self._query_id:
+            self._answered.set()
+        return status.query_id >= _FIRST_QUERY
 
     def _report(self, text: str, count: int, crashes: int) -> None:
         reported, again_at = self._reported.get(text, (0, -math.inf))
-        now = self._clock()
+        now = anyio.current_time()
         if count > reported and now >= again_at:
             self._reported[text] = count, now + _REPORT_INTERVAL
             _log.warning(text, self._container, count, crashes)
 
-    def on_time(self) -> str:
-        """Do what is due; return why the process counts as frozen, empty if it does not.
+    async def run(self) -> str:
+        """Query it again and again; return why it counts as frozen."""
+        is_answering = True
+        while is_answering:
+            await anyio.sleep(INTERVAL)
+            self._query_id += 1
+            self._answered = anyio.Event()
+            self._send(Query(query_id=self._query_id, unique_ids=NO_NODE))
+            is_answering = await self._answers()
+        return f"it is frozen: no answer for {TIMEOUT:g} s"
+
+    async def _answers(self) -> bool:
+        """Wait for the answer; False when it takes too long.
 
         If the supervisor did not run for a while (stopped, or without a processor), the answer may
         be unread, so the timeout begins again. While many programs start on a machine, both sides
-        wait for a processor for many seconds.
+        wait for a processor for many seconds. As long as a debugger stops it, it has no timeout.
         """
-        now, limits = self._clock(), self._limits
-        if self.due is None or now < self.due:
-            return ""
-        if not self._is_open:
-            self._is_open, self.due = True, now + limits.timeout - limits.last_look
-            self._query()
-            return ""
-        # Reads the counters of all threads, so only when an answer is overdue.
-        starved, stopped = self._look_at_threads()
-        if stopped or now - self.due > limits.lateness:
-            self._reset(now + limits.timeout - limits.last_look)
-            self._is_open = True
-        elif self._suspected_at is None or (starved and now - self._suspected_at < limits.longest):
-            if starved:
+        limit, suspected_at = TIMEOUT - LAST_PART, 0.0
+        before: tuple[ProcessorWait, ProcessorWait] | None = None
+        is_traced = False
+        while True:
+            due = anyio.current_time() + limit
+            with anyio.move_on_after(limit):
+                await self._answered.wait()
+            if self._answered.is_set():
+                if is_traced:
+                    _log.warning("%s answers again", self._container)
+                return True
+            now = anyio.current_time()
+            # Reads the counters of all threads, so only when an answer is overdue.
+            both = waits(self._pid)
+            if before is not None and both[1].is_traced and not is_traced:
+                is_traced = True
+                tracer = tracer_of(self._pid) or "a debugger"
+                text = "%s does not answer: it is stopped by %s, which is no freeze; waiting for it"
+                _log.warning(text, self._container, tracer)
+            was_traced = before is not None and (both[1].is_traced or before[1].is_traced)
+            if was_traced or now - due > LATENESS:
+                limit, before = TIMEOUT - LAST_PART, None
+                continue
+            if before is None:
+                suspected_at = now
+            elif not _is_starved(before, both) or now - suspected_at >= LONGEST:
+                return False
+            else:
                 _log.info("%s does not answer yet; processors are short", self._container)
-            if self._suspected_at is None:
-                self._suspected_at = now
-            self._noted, self.due = waits(self._pid), now + limits.last_look
-        else:
-            self._reset(None)
-            return f"it is frozen: no answer for {limits.timeout:g} s"
-        return ""
+            limit, before = LAST_PART, both
 
-    def _look_at_threads(self) -> tuple[bool, bool]:
-        """Return whether either side lacked a processor, and whether a debugger stopped it."""
-        if self._noted is None:
-            return False, False
-        both = waits(self._pid)
-        waited = [now.seconds - then.seconds for now, then in zip(both, self._noted, strict=True)]
-        stopped = both[1].is_traced or self._noted[1].is_traced
-        if both[1].is_traced and not self._is_traced:
-            self._is_traced = True
-            tracer = tracer_of(self._pid) or "a debugger"
-            text = "%s does not answer: it is stopped by %s, which is no freeze; waiting for it"
-            _log.warning(text, self._container, tracer)
-        return both[1].wants_one or max(waited) >= self._limits.want, stopped
 
-    def _query(self) -> None:
-        assert self._send is not None
-        self._query_id += 1
-        try:
-            self._send(Query(query_id=self._query_id, unique_ids=NO_NODE))
-        except ControlError as error:
-            # The reader of the channel gets the same error and reports the container.
-            _log.debug("%s: a question was not sent: %s", self._container, error)
+def _is_starved(
+    before: tuple[ProcessorWait, ProcessorWait], now: tuple[ProcessorWait, ProcessorWait]
+) -> bool:
+    """Whether either side lacked a processor."""
+    waited = [each.seconds - then.seconds for each, then in zip(now, before, strict=True)]
+    return now[1].wants_one or max(waited) >= WANT

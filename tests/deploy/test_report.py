@@ -231,10 +231,14 @@ def test_a_member_that_nobody_looks_after_is_not_hidden(tmp_path: Path) -> None:
 
 
 def test_a_timer_that_is_lost_is_not_hidden(tmp_path: Path) -> None:
+    class Silent(FakeContainer):
+        def start(self) -> None:
+            pass
+
     async def main() -> None:
-        launcher = FakeLauncher()
+        launcher = FakeLauncher(makers={"/a": [Silent]})
         async with reported(system(container("a")), launcher, listening) as one:
-            await one.until_state("/a", ContainerState.RUNNING)
+            await one.until(lambda: bool(one.process_events("/a")))
             timer: Any = one.operated._timer
             assert one.operated.health_problem() == ""
             timer.cancel()

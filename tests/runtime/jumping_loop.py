@@ -56,6 +56,10 @@ class JumpingLoop(asyncio.SelectorEventLoop):
     def time(self) -> float:
         return self._jumping.now
 
+    def jump(self, seconds: float) -> None:
+        """Let time pass in which nothing runs."""
+        self._jumping.now += seconds
+
 
 def run(main: Coroutine[Any, Any, _T]) -> _T:
     """Run to the end; a task that is left over is an error."""

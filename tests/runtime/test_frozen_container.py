@@ -13,15 +13,13 @@ from play_launch.container.messages import Hello, Query, Status
 from play_launch.process.processor_wait import ProcessorWait
 from play_launch.runtime import watch
 from play_launch.runtime.system import System
-from play_launch.runtime.watch import WatchLimits
+from play_launch.runtime.watch import INTERVAL, TIMEOUT, WANT
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEvent, ProcessEventKind
 from play_launch.supervisor.inputs import HealthReported, Input
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, system
 from .jumping_loop import run
 from .running import running
-
-LIMITS = WatchLimits()
 
 
 class Freezes(FakeContainer):
@@ -51,7 +49,7 @@ async def test_it_is_found_killed_and_started_again_with_its_nodes(
         began = asyncio.get_running_loop().time()
         await sys.until_state("/c", ContainerState.BACKOFF)
         took = asyncio.get_running_loop().time() - began
-        assert abs(took - (4 * LIMITS.interval + LIMITS.timeout)) < 0.1
+        assert abs(took - (4 * INTERVAL + TIMEOUT)) < 0.1
         await sys.until_loaded(2)
     first = sys.launcher.containers["/c"][0]
     assert isinstance(first, Freezes)
@@ -95,7 +93,7 @@ async def test_who_answers_is_left_alone_for_ever() -> None:
     class Slow(FakeContainer):
         def on_watch(self, query: Query) -> None:
             loop = asyncio.get_running_loop()
-            loop.call_later(LIMITS.timeout - 0.1, super().on_watch, query)
+            loop.call_later(TIMEOUT - 0.1, super().on_watch, query)
 
     async with running(system(container("c", "a")), launcher(Slow)) as sys:
         await sys.until_loaded(1)
@@ -121,7 +119,7 @@ def test_where_processors_are_short_silence_means_nothing(
 
     def waits(pid: int) -> tuple[ProcessorWait, ProcessorWait]:
         nonlocal waited
-        waited += LIMITS.want * 1.01
+        waited += WANT * 1.01
         return (
             ProcessorWait(waited if whose == "ours" else 0.0, wants_one=False),
             ProcessorWait(waited if whose == "theirs" else 0.0, wants_one="not" in whose),

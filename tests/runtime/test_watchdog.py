@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+
+import anyio
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,116 +12,107 @@ from hypothesis import strategies as st
 from play_launch.container.messages import Outgoing, Query, Status
 from play_launch.process.processor_wait import ProcessorWait
 from play_launch.runtime import watch
-from play_launch.runtime.watch import ContainerWatch, WatchLimits
+from play_launch.runtime.watch import (
+    INTERVAL,
+    LAST_PART,
+    LATENESS,
+    LONGEST,
+    TIMEOUT,
+    ContainerWatch,
+)
 
-LIMITS = WatchLimits(interval=1.0, timeout=3.0, lateness=0.5)
+from .jumping_loop import JumpingLoop, run
 
 
 class Watched:
-    """A container process under watch, at a time that only the test moves."""
+    """A container process under watch, which answers each query after so many seconds."""
 
-    def __init__(self) -> None:
-        self.now = 10.0
-        self.queries: list[Outgoing] = []
-        self.watch = ContainerWatch("/c", clock=lambda: self.now, limits=LIMITS)
-        self.watch.begin(self.queries.append, 1)
+    def __init__(self, *answers: float) -> None:
+        self.answers = [*answers]
+        self.asked_at: list[float] = []
+        self._watch = ContainerWatch("/c", self._send, 1)
 
-    def next_check(self, late: float = 0.0) -> str:
-        assert self.watch.due is not None
-        self.now = self.watch.due + late
-        return self.watch.on_time()
-
-    def answer(self) -> None:
-        query = self.queries[-1]
+    def _send(self, query: Outgoing) -> None:
         assert isinstance(query, Query)
-        self.watch.accept(Status(query_id=query.query_id))
+        self.asked_at.append(anyio.current_time())
+        answer = Status(query_id=query.query_id)
+        if self.answers:
+            loop = asyncio.get_running_loop()
+            loop.call_later(self.answers.pop(0), self._watch.accept, answer)
+
+    async def until_frozen(self) -> float:
+        """Return the seconds from its last query to the verdict."""
+        verdict = await self._watch.run()
+        assert verdict == "it is frozen: no answer for 3 s"
+        return anyio.current_time() - self.asked_at[-1]
+
+
+def stop_us(seconds: float) -> None:
+    """Let the time go on without the loop."""
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, JumpingLoop)
+    loop.jump(seconds)
 
 
 @pytest.fixture
 def waits(monkeypatch: pytest.MonkeyPatch) -> list[ProcessorWait]:
     """What the threads that answer have waited, from a list of one."""
     theirs = [ProcessorWait(0.0, wants_one=False)]
-    monkeypatch.setattr(
-        watch, "waits", lambda pid: (ProcessorWait(0.0, wants_one=False), theirs[0])
-    )
+    ours = ProcessorWait(0.0, wants_one=False)
+    monkeypatch.setattr(watch, "waits", lambda pid: (ours, theirs[0]))
     return theirs
 
 
-def test_a_query_every_interval_and_a_verdict_after_the_timeout() -> None:
+async def test_a_query_every_interval_and_a_verdict_after_the_timeout() -> None:
+    watched = Watched(0.0, 0.0, 0.0)
+    began = anyio.current_time()
+    assert await watched.until_frozen() == TIMEOUT
+    assert watched.asked_at == [began + count * INTERVAL for count in range(1, 5)]
+
+
+async def test_when_we_were_late_it_gets_its_time_again() -> None:
     watched = Watched()
-    for _ in range(3):
-        began = watched.now
-        assert watched.next_check() == ""
-        assert watched.now == began + LIMITS.interval
-        watched.answer()
-    watched.answer()  # to no query, which is no news
-    assert [watched.next_check(), watched.next_check()] == ["", ""]
-    asked_at = watched.now - (LIMITS.timeout - LIMITS.last_look)
-    assert watched.next_check() == "it is frozen: no answer for 3 s"
-    assert watched.now == asked_at + LIMITS.timeout
-    assert len(watched.queries) == 4
-    assert watched.watch.due is None
+    loop = asyncio.get_running_loop()
+    for at in (INTERVAL + 1.0, INTERVAL + 1.0 + 60.0 + TIMEOUT - LAST_PART + 0.1):
+        loop.call_later(at, stop_us, 60.0)
+    assert await watched.until_frozen() > 2 * 60.0 + TIMEOUT
 
 
-def test_when_we_were_late_it_gets_its_time_again() -> None:
-    watched = Watched()
-    watched.next_check()
-    watched.next_check(late=60.0)
-    watched.next_check()
-    watched.next_check(late=30.0)  # once more, in the last moment
-    assert watched.next_check() == ""
-    assert "frozen" in watched.next_check()
-
-
-def test_a_process_without_a_processor_is_given_time_but_not_for_ever(
+async def test_a_process_without_a_processor_is_given_time_but_not_for_ever(
     waits: list[ProcessorWait],
 ) -> None:
-    watched = Watched()
     waits[0] = ProcessorWait(0.0, wants_one=True)
-    watched.next_check()
-    asked_at = watched.now
-    while not watched.next_check():
-        pass
-    assert watched.now - asked_at == LIMITS.timeout - LIMITS.last_look + LIMITS.longest
+    assert await Watched().until_frozen() == TIMEOUT - LAST_PART + LONGEST
     # As soon as there are processors again, silence means something.
-    watched = Watched()
-    for _ in range(5):
-        assert watched.next_check() == ""
-    waits[0] = ProcessorWait(0.0, wants_one=False)
-    assert "frozen" in watched.next_check()
+    idle = ProcessorWait(0.0, wants_one=False)
+    asyncio.get_running_loop().call_later(10.0, waits.__setitem__, 0, idle)
+    assert await Watched().until_frozen() < 10.0
 
 
-def test_a_process_that_a_debugger_stops_gets_the_time_after_that(
+async def test_a_process_that_a_debugger_stops_gets_the_time_after_that(
     waits: list[ProcessorWait],
 ) -> None:
-    watched = Watched()
     waits[0] = ProcessorWait(0.0, wants_one=False, is_traced=True)
-    for _ in range(1000):
-        assert watched.next_check() == ""
-    waits[0] = ProcessorWait(0.0, wants_one=False)
-    verdicts = [watched.next_check() for _ in range(3)]
-    assert ["frozen" in each for each in verdicts] == [False, False, True]
-    assert len(watched.queries) == 1
-
-
-@given(
-    st.lists(st.tuples(st.floats(0, 0.4), st.floats(0, 2.9)), max_size=50),
-    st.lists(st.floats(0, 0.4), min_size=3, max_size=3),
-)
-def test_a_process_is_frozen_within_the_limits_and_not_while_it_answers(
-    rounds: list[tuple[float, float]], lateness: list[float]
-) -> None:
+    idle = ProcessorWait(0.0, wants_one=False)
+    asyncio.get_running_loop().call_later(3600.0, waits.__setitem__, 0, idle)
     watched = Watched()
-    for late, takes in rounds:
-        assert watched.next_check(late) == ""
-        answered_at = watched.now + takes
-        if answered_at >= (watched.watch.due or 0.0):
-            assert watched.next_check() == ""
-        watched.now = answered_at
-        assert watched.watch.on_time() == ""
-        watched.answer()
-    last_answer = watched.now
-    verdicts = [watched.next_check(late) for late in lateness]
-    assert ["frozen" in each for each in verdicts] == [False, False, True]
-    bound = LIMITS.interval + LIMITS.timeout + 3 * LIMITS.lateness
-    assert watched.now - last_answer <= bound
+    assert 3600.0 < await watched.until_frozen() + INTERVAL < 3600.0 + 3 * TIMEOUT
+    assert len(watched.asked_at) == 1
+
+
+@given(st.lists(st.tuples(st.floats(0, 0.4), st.floats(0, 2.9)), max_size=50))
+def test_a_process_is_not_frozen_while_it_answers_and_soon_after_that(
+    rounds: list[tuple[float, float]],
+) -> None:
+    async def main() -> None:
+        watched = Watched(*(takes for _, takes in rounds))
+        loop = asyncio.get_running_loop()
+        at = 0.0
+        for late, takes in rounds:
+            at += INTERVAL
+            loop.call_later(at, stop_us, late)
+            at += late + takes
+        assert await watched.until_frozen() <= TIMEOUT + 3 * LATENESS
+        assert not watched.answers
+
+    run(main())
