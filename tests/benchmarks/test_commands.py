@@ -75,8 +75,8 @@ def test_recorded_topics_and_samples() -> None:
     name = "small at 1 kHz"
     figures = json.loads(run("recorder", "--seconds", "1", "--json", "--cases", name))[name]
     assert figures["messages/s"] > 0
-    small = ("--containers", "1", "--nodes", "2", "--runs", "1", "--settle", "2")
-    figures = json.loads(run("sampling", *small, "--seconds", "10", "--json"))
+    small = ("--containers", "1", "--nodes", "2", "--runs", "1", "--settle", "0.5")
+    figures = json.loads(run("sampling", *small, "--seconds", "2", "--json"))
     assert all(len(figures[kind]) == 1 for kind in ("sampled", "not sampled"))
 
 

@@ -8,7 +8,7 @@
 #include <ctime>
 #include <thread>
 
-#include "../container/check.hpp"
+#include "check.hpp"
 
 namespace {
 

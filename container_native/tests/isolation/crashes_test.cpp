@@ -1,12 +1,11 @@
 // Every way to die, again and again, beside children that go on: each death ends that child alone,
-// is reported at once and with its place, and leaves a donor on which C++ works.
+// is reported with its place, and leaves a donor on which C++ works.
 
 #include <dlfcn.h>
 #include <link.h>
 #include <signal.h>
 #include <sys/mman.h>
 
-#include <algorithm>
 #include <array>
 #include <cstdlib>
 #include <cstring>
@@ -103,8 +102,6 @@ using namespace isolation_test;
 
 constexpr int kRounds = 20;
 
-std::atomic<std::uint64_t> kill_time_ns{0};
-
 volatile std::uintptr_t bad_address = 8;
 void crash_by_bad_address() { *reinterpret_cast<volatile int*>(bad_address) = 1; }
 void crash_by_abort() { std::abort(); }
@@ -129,10 +126,7 @@ void crash_by_exception_thrown_on() {
     throw;
   }
 }
-void crash_by_kill() {
-  kill_time_ns = now_ns();
-  ::kill(::getpid(), SIGKILL);
-}
+void crash_by_kill() { ::kill(::getpid(), SIGKILL); }
 void crash_by_truncated_file() {
   const int file = ::memfd_create("empty", MFD_CLOEXEC);
   void* const page = ::mmap(nullptr, 4096, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
@@ -260,8 +254,6 @@ class Neighbour {
   DonorThread donor_;
 };
 
-double milliseconds(std::uint64_t ns) { return static_cast<double>(ns) / 1e6; }
-
 /// Each module is one of the backtrace; that of this program has its path and its build id.
 void check_modules(const CrashSlot& slot) {
   const std::string backtrace = joined(slot);
@@ -307,7 +299,6 @@ void check_outcome(const Kind& kind, const Outcome& outcome, bool in_main_thread
 }
 
 void test_crashes(const Kind& kind, std::vector<std::unique_ptr<Neighbour>>& neighbours) {
-  std::vector<std::uint64_t> detection;
   for (int round = 0; round < kRounds; ++round) {
     std::vector<std::uint64_t> before;
     for (const auto& neighbour : neighbours) {
@@ -333,13 +324,9 @@ void test_crashes(const Kind& kind, std::vector<std::unique_ptr<Neighbour>>& nei
     {
       DonorThread donor("donor", [&] {
         outcome.end = run_in_child(crashing, outcome.slot);
-        outcome.awake_ns = now_ns();
         second = run_in_child(throwing, second_slot);
       });
     }
-    const std::uint64_t death =
-        kind.function != nullptr ? outcome.slot.report.crash_time_ns : kill_time_ns.load();
-    detection.push_back(outcome.awake_ns - death);
     check_outcome(kind, outcome, true);
     CHECK(second.clean());
     CHECK(usable);
@@ -349,11 +336,6 @@ void test_crashes(const Kind& kind, std::vector<std::unique_ptr<Neighbour>>& nei
       }
     }
   }
-  std::sort(detection.begin(), detection.end());
-  std::printf("%-15s %d deaths, crash to donor awake and child reaped: p50 %.3f ms, p99 %.3f ms\n",
-              kind.name, kRounds, milliseconds(detection[kRounds / 2]),
-              milliseconds(detection[kRounds * 99 / 100]));
-  std::fflush(stdout);
 }
 
 /// What the container's code does in the handlers must not stand in the way.

@@ -1,19 +1,13 @@
-// Locks that died with their holders are found, with their waiters; and no others. What a
-// child was initialising once for all when it died is begun anew.
+// Locks that died with their holders are found, with their waiters; and no others.
 
-#include <fcntl.h>
-#include <pthread.h>
 #include <signal.h>
-#include <sys/syscall.h>
 #include <unistd.h>
 
 #include <array>
 #include <chrono>
 #include <functional>
 #include <mutex>
-#include <shared_mutex>
 #include <span>
-#include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
@@ -98,10 +92,9 @@ pid_t die_with(Mutex& mutex, bool in_first_thread) {
   return outcome.end.pid;
 }
 
-template <class Mutex>
 void test_dead_holder(DeadLockSearch& search, bool in_first_thread) {
   // Stays locked, and may not be destroyed like that.
-  auto& mutex = *new Mutex();
+  auto& mutex = *new std::mutex();
   const pid_t dead = die_with(mutex, in_first_thread);
   CHECK(look(search).empty());
   Child waiting([&mutex](Program&) {
@@ -194,146 +187,16 @@ void test_other_waits(DeadLockSearch& search) {
   waits_for_a_while.kill();
 }
 
-/// Runs in whatever a test initialises once; its own.
-std::function<void()> initialise;
-
-template <int>
-void use_static() {
-  struct Value {
-    Value() { initialise(); }
-  };
-  static const Value value;
-}
-
-template <int>
-void use_call_once() {
-  static std::once_flag flag;
-  std::call_once(flag, [] { initialise(); });
-}
-
-template <int>
-void use_pthread_once() {
-  static pthread_once_t control = PTHREAD_ONCE_INIT;
-  ::pthread_once(&control, [] { initialise(); });
-}
-
-void wait_until_it_sleeps(pid_t process) {
-  const std::string path = "/proc/" + std::to_string(process) + "/syscall";
-  while (true) {
-    std::array<char, 64> text{};
-    const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
-    const bool known = ::read(fd, text.data(), text.size() - 1) > 0;
-    ::close(fd);
-    if (known && std::stol("0" + std::string(text.data())) == SYS_futex) {
-      return;
-    }
-    std::this_thread::sleep_for(1ms);
-  }
-}
-
-/// The one dies amidst it, in its first thread or another one; a thread that waits for it
-/// meanwhile, or one that comes later, initialises it, and that once.
-void test_an_initialisation_that_died(void (*use)(), int signal, bool in_first_thread) {
-  Event begun;
-  std::atomic<int> times{0};
-  initialise = [&] {
-    if (times++ == 0) {
-      begun.set();
-      while (true) {
-        ::pause();
-      }
-    }
-  };
-  Child dying([&](Program&) {
-    if (in_first_thread) {
-      use();
-    } else {
-      std::thread(use).join();
-    }
-    return 0;
-  });
-  begun.wait();
-  Child waiting([&](Program&) {
-    use();
-    return 0;
-  });
-  wait_until_it_sleeps(waiting.pid());
-  CHECK(times == 1);
-  CHECK(::kill(dying.pid(), signal) == 0);
-  CHECK(dying.end().signal == signal);
-  CHECK(waiting.end().clean());
-  CHECK(times == 2);
-  Child later([&](Program&) {
-    use();
-    return 0;
-  });
-  CHECK(later.end().clean());
-  use();  // in the container
-  CHECK(times == 2);
-}
-
-/// Thrown out of, and then succeeded with: nothing of it is noted any more when the child dies.
-void test_an_initialisation_that_was_finished(void (*use)()) {
-  std::atomic<int> times{0};
-  initialise = [&] {
-    if (times++ == 0) {
-      throw std::runtime_error("not yet");
-    }
-  };
-  Outcome outcome;
-  run(outcome, [&](Program&) -> int {
-    try {
-      use();
-    } catch (const std::runtime_error&) {
-    }
-    use();
-    ::kill(::getpid(), SIGKILL);
-    return 0;
-  });
-  CHECK(outcome.end.signal == SIGKILL);
-  use();
-  CHECK(times == 2);
-}
-
-void test_initialisations() {
-  // Each of them once in the program's life.
-  const std::array<std::array<void (*)(), 3>, 5> ways{{
-      {use_static<0>, use_call_once<0>, use_pthread_once<0>},
-      {use_static<1>, use_call_once<1>, use_pthread_once<1>},
-      {use_static<2>, use_call_once<2>, use_pthread_once<2>},
-      {use_static<3>, use_call_once<3>, use_pthread_once<3>},
-      {use_static<4>, use_call_once<4>, use_pthread_once<4>},
-  }};
-  for (const auto use : ways[0]) {
-    test_an_initialisation_that_died(use, SIGKILL, true);
-  }
-  for (const auto use : ways[1]) {
-    test_an_initialisation_that_died(use, SIGKILL, false);
-  }
-  for (const auto use : ways[2]) {
-    test_an_initialisation_that_died(use, SIGSEGV, true);
-  }
-  for (const auto use : ways[3]) {
-    test_an_initialisation_that_died(use, SIGSEGV, false);
-  }
-  for (const auto use : ways[4]) {
-    test_an_initialisation_that_was_finished(use);
-  }
-}
-
 }  // namespace
 
 int main() {
   prepare_crash_handling();
   DeadLockSearch search;
   for (const bool in_first_thread : {true, false}) {
-    test_dead_holder<std::mutex>(search, in_first_thread);
-    test_dead_holder<std::recursive_mutex>(search, in_first_thread);
-    test_dead_holder<std::shared_mutex>(search, in_first_thread);
+    test_dead_holder(search, in_first_thread);
   }
   test_a_thread_of_the_container(search);
   test_an_expendable_child_does_not_count(search);
   test_other_waits(search);
-  test_initialisations();
   return 0;
 }

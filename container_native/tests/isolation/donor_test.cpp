@@ -1,20 +1,14 @@
-// Donors come and go: nothing grows with the number of children, however they ended.
+// What a child finds of the lives before it on its donor, and limits on its own.
 
-#include <dirent.h>
-#include <dlfcn.h>
 #include <pthread.h>
 #include <signal.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <atomic>
 #include <chrono>
 #include <cstdlib>
-#include <fstream>
-#include <memory>
-#include <new>
-#include <string>
 #include <thread>
-#include <vector>
 
 #include "harness.hpp"
 #include "isolation/clone/inheritance.hpp"
@@ -22,113 +16,6 @@
 namespace {
 
 using namespace isolation_test;
-
-std::size_t entries(const char* directory) {
-  DIR* const listing = ::opendir(directory);
-  CHECK(listing != nullptr);
-  std::size_t count = 0;
-  while (::readdir(listing) != nullptr) {
-    ++count;
-  }
-  ::closedir(listing);
-  return count;
-}
-
-std::size_t lines(const char* path) {
-  std::ifstream file(path);
-  std::string line;
-  std::size_t count = 0;
-  while (std::getline(file, line)) {
-    ++count;
-  }
-  return count;
-}
-
-/// From /proc/self/status, in KiB.
-std::size_t status(const std::string& key) {
-  std::ifstream file("/proc/self/status");
-  std::string line;
-  while (std::getline(file, line)) {
-    if (line.starts_with(key + ":")) {
-      return std::stoul(line.substr(key.size() + 1));
-    }
-  }
-  return 0;
-}
-
-struct Growth {
-  std::size_t files = entries("/proc/self/fd");
-  std::size_t threads = entries("/proc/self/task");
-  std::size_t mappings = lines("/proc/self/maps");
-  std::size_t virtual_kib = status("VmSize");
-  std::size_t resident_kib = status("VmRSS");
-};
-
-void allocate_and_keep(std::vector<std::unique_ptr<std::string>>& kept) {
-  for (int i = 0; i < 200; ++i) {
-    kept.push_back(std::make_unique<std::string>(static_cast<std::size_t>(i) * 10, 'x'));
-  }
-}
-
-/// A node's life: its child allocates and has a thread, then returns or crashes; then another child
-/// on the same donor frees what is left.
-void live_once(bool crashes) {
-  std::vector<std::unique_ptr<std::string>> kept;
-  Program living([&](Program&) {
-    allocate_and_keep(kept);
-    std::thread([&] { allocate_and_keep(kept); }).join();
-    if (crashes) {
-      std::abort();
-    }
-    return 0;
-  });
-  Program burying([&kept](Program&) {
-    kept.clear();
-    kept.shrink_to_fit();
-    return 0;
-  });
-  CrashSlot slot;
-  ChildEnd end;
-  ChildEnd burial;
-  DonorThread donor("donor", [&] {
-    end = run_in_child(living, slot);
-    burial = run_in_child(burying, slot);
-  });
-  donor.join();
-  CHECK(end.signal == (crashes ? SIGABRT : 0));
-  CHECK(end.returned == !crashes);
-  CHECK(burial.clean());
-}
-
-void test_growth(bool crashes) {
-  constexpr int kWarmUp = 100;
-  constexpr int kRounds = 1000;
-  for (int i = 0; i < kWarmUp; ++i) {
-    live_once(crashes);
-    // Looking allocates as well, and mimalloc 3 takes memory in steps of 2 MiB.
-    const Growth looked;
-    CHECK(looked.threads > 0);
-  }
-  const Growth before;
-  for (int i = 0; i < kRounds; ++i) {
-    live_once(crashes);
-  }
-  const Growth after;
-  std::printf(
-      "%d %s: files %zu -> %zu, threads %zu -> %zu, mappings %zu -> %zu, virtual memory "
-      "%zu -> %zu KiB, resident %zu -> %zu KiB\n",
-      kRounds, crashes ? "crashes" : "ends in order", before.files, after.files, before.threads,
-      after.threads, before.mappings, after.mappings, before.virtual_kib, after.virtual_kib,
-      before.resident_kib, after.resident_kib);
-  std::fflush(stdout);
-  CHECK(after.files == before.files);
-  CHECK(after.threads == before.threads);
-  CHECK(after.mappings <= before.mappings + 20);
-  // A life as above takes some 500 KiB. The C library's allocator loses what it had cached for the
-  // thread; mimalloc loses nothing.
-  const bool loses_cache = ::dlsym(RTLD_DEFAULT, "mi_thread_done") == nullptr;
-  CHECK(after.resident_kib <= before.resident_kib + (loses_cache ? 250 : 2) * kRounds);
-}
 
 /// thread_local objects belong to one life: neither destroyed in the container, however the life
 /// ended, nor found half-way by the next node.
@@ -199,33 +86,6 @@ void test_thread_on_the_stack_of_a_dead_one() {
   ::pthread_key_delete(key);
 }
 
-/// The end of the container ends the children.
-void test_children_die_with_their_container() {
-  Event alive;
-  int ends[2] = {-1, -1};
-  CHECK(::pipe(ends) == 0);
-  const pid_t container = ::fork();
-  CHECK(container >= 0);
-  if (container == 0) {
-    ::close(ends[0]);
-    Outcome outcome;
-    run(outcome, [&alive](Program&) -> int {
-      alive.set();
-      while (true) {
-        ::pause();
-      }
-    });
-    ::_exit(0);
-  }
-  ::close(ends[1]);
-  alive.wait();
-  CHECK(::kill(container, SIGKILL) == 0);
-  // The child holds the other end of the pipe as long as it lives.
-  char byte = 0;
-  CHECK(::read(ends[0], &byte, 1) == 0);
-  ::close(ends[0]);
-}
-
 /// What a child may use is time of the processor, so that waiting for one costs it nothing.
 void test_limit_of_cpu_time() {
   constexpr std::chrono::milliseconds kLimit{50};
@@ -253,6 +113,58 @@ void test_limit_of_cpu_time() {
       },
       options);
   CHECK(waiting.end.clean());
+}
+
+void test_limits_of_the_kernel() {
+  Outcome outcome;
+  run(outcome, [](Program&) {
+    const rlimit limit{1, 2};
+    ::setrlimit(RLIMIT_CPU, &limit);
+    while (true) {
+    }
+    return 0;
+  });
+  CHECK(outcome.end.signal == SIGXCPU && outcome.slot.report.signal == SIGXCPU);
+  CHECK(contains(outcome.text(), "limit of processor time"));
+}
+
+void test_limit_of_time() {
+  Outcome outcome;
+  run(outcome,
+      [](Program&) -> int {
+        while (true) {
+          ::pause();
+        }
+      },
+      {.time_limit = std::chrono::milliseconds(20)});
+  CHECK(outcome.end.signal == SIGKILL);
+}
+
+/// A child that takes a signal for something of its own keeps it, and what the container ignores,
+/// as after nohup, a child ignores.
+void test_signals_that_do_not_end_it() {
+  static std::atomic<bool> is_handled{false};
+  ::signal(SIGHUP, SIG_IGN);
+  Outcome outcome;
+  Event ready;
+  Program program([&](Program& self) {
+    ::signal(SIGUSR1, [](int) { is_handled = true; });
+    ready.set();
+    while (!self.cancelled) {
+      std::this_thread::yield();
+    }
+    return 0;
+  });
+  DonorThread donor("donor", [&] { outcome.end = run_in_child(program, outcome.slot); });
+  ready.wait();
+  CHECK(send_signal(outcome.slot, SIGHUP) && send_signal(outcome.slot, SIGUSR1));
+  while (!is_handled) {
+    std::this_thread::yield();
+  }
+  program.cancelled = true;
+  donor.join();
+  ::signal(SIGHUP, SIG_DFL);
+  CHECK(outcome.end.clean());
 }
 
 /// A joining thread then does not wait for what is still to be released.
@@ -286,12 +198,12 @@ void test_the_end_of_a_donor_is_announced() {
 
 int main() {
   prepare_crash_handling();
-  test_growth(false);
-  test_growth(true);
   test_thread_local_objects();
   test_thread_on_the_stack_of_a_dead_one();
-  test_children_die_with_their_container();
   test_limit_of_cpu_time();
+  test_limits_of_the_kernel();
+  test_limit_of_time();
+  test_signals_that_do_not_end_it();
   test_the_end_of_a_donor_is_announced();
   return 0;
 }

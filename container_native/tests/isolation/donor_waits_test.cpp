@@ -5,7 +5,6 @@
 #include <pthread.h>
 #include <signal.h>
 #include <sys/resource.h>
-#include <sys/stat.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -312,20 +311,6 @@ void test_it_begins_where_no_signal_can_be_queued() {
   CHECK(WIFEXITED(status) && WEXITSTATUS(status) == 0);
 }
 
-void test_folder_and_mask_are_a_childs_own() {
-  const mode_t mask = ::umask(022);
-  const std::unique_ptr<char, decltype(&std::free)> before(::getcwd(nullptr, 0), &std::free);
-  Outcome outcome;
-  run(outcome, [](Program&) {
-    ::umask(077);
-    return ::chdir("/proc");
-  });
-  CHECK(outcome.end.clean());
-  const std::unique_ptr<char, decltype(&std::free)> after(::getcwd(nullptr, 0), &std::free);
-  CHECK(std::string(before.get()) == after.get());
-  CHECK(::umask(mask) == 022);
-}
-
 }  // namespace
 
 int main() {
@@ -341,6 +326,5 @@ int main() {
   test_deaths(900);
   test_deaths_between_stops();
   test_ids_of_the_container_can_change();
-  test_folder_and_mask_are_a_childs_own();
   return 0;
 }

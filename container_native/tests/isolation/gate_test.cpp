@@ -9,7 +9,7 @@
 #include <cerrno>
 #include <cstdlib>
 
-#include "../container/check.hpp"
+#include "check.hpp"
 
 namespace {
 

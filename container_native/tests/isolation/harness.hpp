@@ -13,7 +13,7 @@
 #include <string>
 #include <utility>
 
-#include "../container/check.hpp"
+#include "check.hpp"
 #include "isolation/clone/child.hpp"
 #include "isolation/clone/donor_thread.hpp"
 #include "isolation/crash/crash_handler.hpp"
@@ -41,7 +41,6 @@ class Program final : public ChildProgram {
 struct Outcome {
   ChildEnd end;
   CrashSlot slot;
-  std::uint64_t awake_ns = 0;  // CLOCK_MONOTONIC, right after run_in_child() returned
 
   std::string text() const { return describe_end(end, slot); }
 };
@@ -54,10 +53,7 @@ inline std::uint64_t now_ns() {
 }
 
 inline void run(Outcome& outcome, ChildProgram& program, const ChildOptions& options = {}) {
-  DonorThread donor("donor", [&] {
-    outcome.end = run_in_child(program, outcome.slot, options);
-    outcome.awake_ns = now_ns();
-  });
+  DonorThread donor("donor", [&] { outcome.end = run_in_child(program, outcome.slot, options); });
 }
 
 inline void run(Outcome& outcome, std::function<int(Program&)> body,

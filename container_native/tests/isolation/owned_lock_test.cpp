@@ -10,7 +10,7 @@
 #include <new>
 #include <thread>
 
-#include "../container/check.hpp"
+#include "check.hpp"
 
 namespace {
 

@@ -13,7 +13,7 @@
 #include <utility>
 #include <vector>
 
-#include "../container/check.hpp"
+#include "../isolation/check.hpp"
 
 namespace play_launch::testing {
 

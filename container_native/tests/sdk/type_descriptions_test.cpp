@@ -10,7 +10,7 @@
 #include <std_msgs/msg/string.hpp>
 #include <thread>
 
-#include "../sdk/check.hpp"
+#include "check.hpp"
 
 using namespace play_launch;
 using namespace play_launch::testing;

@@ -1,62 +1,21 @@
-// What a process asks of the kernel, and how urgent that makes it.
+// How urgent a process is by what it asks of the kernel, and how its threads put that aside.
 
-#include "base/resource_setting.hpp"
+#include "base/urgency.hpp"
 
 #include <sched.h>
-#include <sys/resource.h>
 
 #include <atomic>
 #include <chrono>
 #include <cstdint>
 #include <cstdio>
-#include <stdexcept>
 #include <thread>
 
-#include "base/urgency.hpp"
+#include "base/resource_setting.hpp"
 #include "check.hpp"
 
 using namespace play_launch;
 
 namespace {
-
-using Kind = ResourceSetting::Kind;
-
-void test_texts() {
-  const auto nice = parse_resource_setting("nice -5");
-  CHECK(nice && nice->kind == Kind::nice && static_cast<int>(nice->numbers[0]) == -5);
-  const auto limit = parse_resource_setting("rlimit 7 100 18446744073709551615");
-  CHECK(limit && limit->numbers[1] == 100 && limit->numbers[2] == RLIM_INFINITY);
-  const auto cpus = parse_resource_setting("cpu_affinity 0 1023");
-  CHECK(cpus && CPU_COUNT(&cpus->cpus) == 2 && CPU_ISSET(1023, &cpus->cpus));
-  const auto group = parse_resource_setting("cgroup /sys/fs/a b/c");
-  CHECK(group && group->kind == Kind::cgroup && group->folder == "/sys/fs/a b/c");
-  CHECK(!group->is_required);
-  const auto required = parse_resource_setting("required_cgroup /a");
-  CHECK(required && required->kind == Kind::cgroup && required->is_required);
-  CHECK(!apply_or_complain(*required) && apply_or_complain(*group));
-  for (const char* const text :
-       {"", "cgroup", "required_cgroup a", "cgroup a", "nice", "nice five", "nice 5 6",
-        "scheduler 1", "cpu_affinity", "cpu_affinity 1024", "cpu_affinity -1", "rlimit 7 100",
-        "rlimit 7 100 18446744073709551616", "niceness 5"}) {
-    CHECK(!parse_resource_setting(text));
-  }
-  CHECK(
-      contains(CHECK_THROWS(parse_resource_settings({"nice 5", "nice six"}), std::invalid_argument),
-               "'nice six'"));
-}
-
-void test_refusals_are_errors() {
-  CHECK(apply(*parse_resource_setting("nice 19")) == 0);
-  CHECK(own_urgency().nice == 19);
-  CHECK(apply(*parse_resource_setting("scheduler 99 0")) == EINVAL);
-  CHECK(apply(*parse_resource_setting("cgroup /no/such/group")) == ENOENT);
-  CHECK(apply(*parse_resource_setting("cgroup /tmp")) == ENOENT);
-  CHECK(apply(*parse_resource_setting("rlimit 7 200 200")) == 0);
-  // A soft limit is never above the hard one: as near as it may be.
-  CHECK(apply(*parse_resource_setting("rlimit 7 300 100")) == EINVAL);
-  rlimit held{};
-  CHECK(::getrlimit(RLIMIT_NOFILE, &held) == 0 && held.rlim_cur == 100 && held.rlim_max == 100);
-}
 
 Urgency after(std::initializer_list<std::string> texts) {
   return urgency_after({SCHED_OTHER, 0, 0}, parse_resource_settings(texts));
@@ -147,9 +106,7 @@ void test_what_was_raised_meanwhile_holds() {
 }  // namespace
 
 int main() {
-  test_texts();
   test_ranks();
   test_what_was_raised_meanwhile_holds();
   test_a_rank_that_is_raised_while_it_is_aside();
-  test_refusals_are_errors();  // last: it changes this process
 }
