@@ -83,6 +83,11 @@ def assert_cleaned_up(
     return int(status.leaked)
 
 
+def is_cut_off(event: ComponentEvent) -> bool:
+    """Whether a busy machine left it no time to leave in order, even amid a destructor."""
+    return "did not leave in time" in event.error_message
+
+
 def order_crash(probe: Probe, how: str) -> None:
     publisher = probe.node.create_publisher(String, "/crash", 1)
     probe.spin_until(
@@ -111,6 +116,7 @@ def test_a_crash_is_told_and_the_neighbours_go_on(
         probe.spin_until(lambda: len(heard) > before + 10, 30.0, "the talker again")
         # SIGKILL leaves no time to bring the other threads out of rclcpp's and the DDS's locks.
         may_leak = package != SDK and how == "kill" and mode == "isolated_mt"
+        may_leak = may_leak or is_cut_off(crashed)
         if not assert_cleaned_up(container, crashes=1, may_leak=may_leak):
             probe.spin_until(
                 lambda: "crasher" not in probe.node.get_node_names(), 30.0, "the end of the dead"
@@ -198,6 +204,7 @@ def test_a_signal_from_outside(
         assert is_gone(victim.pid)
         probe.collect(String, "/chatter", 5)
         may_leak = package != SDK and number is SIGKILL and mode == "isolated_mt"
+        may_leak = may_leak or is_cut_off(crashed)
         assert_cleaned_up(container, crashes=1, may_leak=may_leak)
         # What is asked for by a signal is done in order; only SIGKILL cannot be.
         assert container.status().unquiesced == (1 if number == SIGKILL else 0)

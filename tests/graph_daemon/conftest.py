@@ -12,6 +12,7 @@ import pytest
 from play_launch.graph_daemon.contract import DaemonAddress
 from play_launch.graph_daemon.port import stop_daemon
 from play_launch.graph_daemon.start_stop import start_daemon
+from tests.graph_daemon.occupants import end_daemons
 from tests.graph_daemon.scene import NODES
 from tests.graph_daemon.wire import ask
 from tests.support.waiting import until
@@ -23,6 +24,12 @@ ROOT = Path(__file__).resolve().parents[2]
 def address(ros_domain: int) -> DaemonAddress:
     """Where the daemon of this test process serves."""
     return DaemonAddress(ros_domain)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_daemon_is_left(address: DaemonAddress) -> Iterator[None]:
+    yield
+    end_daemons(address.domain)
 
 
 @pytest.fixture(scope="module")

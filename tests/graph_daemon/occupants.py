@@ -15,7 +15,16 @@ from pathlib import Path
 from typing import Any
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
+import psutil
+
 ROOT = Path(__file__).resolve().parents[2]
+
+
+def end_daemons(domain: int) -> None:
+    """Kill daemons of ours of a domain, which a test that failed may have left."""
+    for process in psutil.process_iter(["cmdline"]):
+        if {"play_launch.graph_daemon", f"--domain={domain}"} <= set(process.info["cmdline"] or ()):
+            process.kill()
 
 
 class Handler(SimpleXMLRPCRequestHandler):

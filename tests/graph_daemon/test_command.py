@@ -16,7 +16,7 @@ from play_launch.cli.daemon import describe
 from play_launch.graph_daemon.contract import DaemonAddress
 from play_launch.graph_daemon.daemon import DaemonStatus
 from play_launch.graph_daemon.port import OwnerKind, PortOwner, stop_daemon
-from tests.graph_daemon.occupants import occupied
+from tests.graph_daemon.occupants import end_daemons, occupied
 
 COMMAND = Path(sys.executable).parent / "play-launch"
 
@@ -38,7 +38,10 @@ def command(*words: str, **environment: str) -> tuple[int, str, str]:
 def _nobody(address: DaemonAddress, logs: Path) -> Iterator[None]:
     stop_daemon(address)
     yield
-    stop_daemon(address)
+    try:
+        stop_daemon(address)
+    finally:
+        end_daemons(address.domain)
 
 
 @pytest.mark.usefixtures("_nobody")

@@ -9,7 +9,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -26,7 +25,7 @@ from play_launch.graph_daemon.start_stop import (
     start_daemon,
 )
 from play_launch.ros.fastdds.shared_memory import sweep
-from tests.graph_daemon.occupants import occupied
+from tests.graph_daemon.occupants import end_daemons, occupied
 from tests.graph_daemon.wire import ask
 from tests.support.waiting import until
 
@@ -37,7 +36,10 @@ WAIT = 60.0
 def _ended(address: DaemonAddress, logs: Path) -> Iterator[None]:
     assert find_owner(address).kind is OwnerKind.FREE
     yield
-    stop_daemon(address)
+    try:
+        stop_daemon(address)
+    finally:
+        end_daemons(address.domain)
     assert find_owner(address).kind is OwnerKind.FREE
 
 
@@ -292,10 +294,11 @@ def test_in_the_foreground_it_serves_until_it_is_stopped(address: DaemonAddress)
     process = subprocess.Popen([program, "daemon", "run"], stdout=subprocess.PIPE, text=True)
     with process:
         assert process.stdout is not None
-        assert process.stdout.readline() == f"serving {address.url}\n"
-        assert find_owner(address).pid == process.pid
-        began = time.monotonic()
-        process.send_signal(signal.SIGINT)
-        assert process.wait(WAIT) == 0
-        print(f"ended in {time.monotonic() - began:.2f} s")
+        try:
+            assert process.stdout.readline() == f"serving {address.url}\n"
+            assert find_owner(address).pid == process.pid
+            process.send_signal(signal.SIGINT)
+            assert process.wait(WAIT) == 0
+        finally:
+            process.kill()
     assert stock_can_start(address)
