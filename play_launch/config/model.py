@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from msgspec import Struct
+from msgspec.structs import force_setattr
 
 from play_launch.config.dependency import StartRule
 from play_launch.config.node_key import NodeKey
@@ -160,6 +161,10 @@ class ParameterValue(Struct, frozen=True):
 
     type: ParameterType
     value: ParameterPayload
+
+    def __post_init__(self) -> None:
+        if isinstance(self.value, list):  # msgspec reads an array of any type as a list
+            force_setattr(self, "value", tuple(self.value))
 
 
 class ParameterConfig(Struct, frozen=True):

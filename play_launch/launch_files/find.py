@@ -18,26 +18,7 @@ LARGEST: Final = 16 * 2**20
 """Bytes of a launch file, of a parameter file, and of what else is read."""
 
 
-class UnreadableError(Exception):
-    """A file cannot be read; the text is the reason."""
-
-
-def text_of(path: str) -> str:
-    """Return what stands in a file.
-
-    Raises:
-        UnreadableError: When the file is missing or not text.
-    """
-    content = read_bytes(Path(path), LARGEST)
-    if isinstance(content, Refused):
-        raise UnreadableError(content.message)
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise UnreadableError("is not UTF-8") from error
-
-
-_LAUNCH_KEY: Final = re.compile(r"^([\"']?)launch\1\s*:", re.MULTILINE)
+_LAUNCH_KEY: Final = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)launch\1\s*:", re.MULTILINE)
 ENDINGS: Final = (".py", ".xml", ".yaml", ".yml", ".launch")
 
 
@@ -74,21 +55,16 @@ def find(words: list[str]) -> Path:
 def _why_not(path: Path) -> str:
     if not path.exists():
         return "there is no such launch file"
-    try:
-        text_of(str(path))
-    except UnreadableError as error:
-        return str(error)
-    return "is no regular file"
+    content = read_bytes(path)
+    return content.message if isinstance(content, Refused) else "is no regular file"
 
 
 def is_launch_file(path: Path) -> bool:
     """Return whether it is a launch file, not a configuration, which may be YAML as well."""
     if path.suffix not in {".yaml", ".yml"}:
         return path.name.endswith(ENDINGS)
-    try:
-        return _LAUNCH_KEY.search(text_of(str(path))) is not None
-    except UnreadableError:
-        return False
+    content = read_bytes(path, LARGEST)
+    return not isinstance(content, Refused) and _LAUNCH_KEY.search(content) is not None
 
 
 def _named(share: Path, name: str) -> Iterator[Path]:

@@ -1,32 +1,26 @@
 """What a launch description contains once it is evaluated, with nothing left to decide.
 
-Whatever evaluates launch files makes these records, and one writer makes configurations of them.
-They cross a process border as JSON: `encode` and `decode`. Defaults are left out of it.
+ROS's launch and dumps of other programs become these records, and one writer makes configurations
+of them.
 """
 
 from __future__ import annotations
 
-import base64
-import math
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-import msgspec
 from msgspec import Struct, field
 
 from play_launch import UserError
 from play_launch.config.model import (
     FOR_ALL,
     Autostart,
-    ParameterType,
-    ParameterValue,
+    ParameterConfig,
+    ParameterSection,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-
-FORMAT: Final = 1
-"""The version of the JSON."""
 
 
 class Place(Struct, frozen=True, omit_defaults=True):
@@ -51,29 +45,6 @@ class LaunchOrigin(Struct, frozen=True, omit_defaults=True):
         return str(self.place)
 
 
-Plain: TypeAlias = bool | int | float | str
-
-
-class Parameter(Struct, frozen=True):
-    """A parameter with its type, numbered as in `rcl_interfaces/msg/ParameterType`.
-
-    Names of nested parameters are joined with dots. JSON has no bytes, no infinity and no NaN: a
-    byte array is text in base64, such doubles are the texts `.inf`, `-.inf` and `.nan`. `parameter`
-    makes it, `typed_value` reads it.
-    """
-
-    name: str
-    type: ParameterType
-    value: Plain | tuple[Plain, ...]
-
-
-class Section(Struct, frozen=True):
-    """Parameters for the nodes whose full name matches a pattern, such as `/**` or `/a/*`."""
-
-    pattern: str
-    parameters: tuple[Parameter, ...]
-
-
 class Values(Struct, frozen=True, tag="values", omit_defaults=True):
     """A source of parameters: values that the launch file gives.
 
@@ -81,7 +52,7 @@ class Values(Struct, frozen=True, tag="values", omit_defaults=True):
     that has one, and `/**` otherwise.
     """
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[ParameterConfig, ...]
     pattern: str = FOR_ALL
 
 
@@ -165,7 +136,7 @@ class _Unit(Struct, kw_only=True, omit_defaults=True):
     name: str = ""
     namespace: str = ""
     sources: list[Source] = field(default_factory=list)
-    parameters: list[Parameter] = field(default_factory=list)
+    parameters: list[ParameterConfig] = field(default_factory=list)
     remappings: list[tuple[str, str]] = field(default_factory=list)
     log_level: str = ""
     is_lifecycle: bool = False
@@ -197,7 +168,7 @@ class LaunchedProcess(_Unit, kw_only=True, tag="process", omit_defaults=True):
     """
 
     kind: ProgramKind = ProgramKind.NODE
-    for_others: list[Section] = field(default_factory=list)
+    for_others: list[ParameterSection] = field(default_factory=list)
     executable: str = ""
     command: list[str] = field(default_factory=list)
     label: str = ""
@@ -225,7 +196,7 @@ class Composable(_Unit, kw_only=True, tag="composable", omit_defaults=True):
 
     plugin: str = ""
     container: str = ""
-    extra_arguments: list[Parameter] = field(default_factory=list)
+    extra_arguments: list[ParameterConfig] = field(default_factory=list)
 
 
 Unit: TypeAlias = LaunchedProcess | Composable
@@ -302,7 +273,7 @@ class LaunchFileError(UserError):
 
 
 class Job(Struct, frozen=True, kw_only=True):
-    """What is to be evaluated, within `limit` seconds.
+    """What is to be evaluated, within `limit` seconds, into the file `answer`.
 
     `only_arguments` reads the file without visiting it. Without `is_faster` launch does everything
     as often as `ros2 launch` does.
@@ -311,72 +282,10 @@ class Job(Struct, frozen=True, kw_only=True):
     path: str
     arguments: tuple[tuple[str, str], ...] = ()
     temporary: str
+    answer: str
     limit: float
     is_faster: bool = True
     only_arguments: bool = False
-
-
-class _Envelope(Struct):
-    format: int
-    outcome: Description | EvaluationFailure
-
-
-def encode(outcome: Description | EvaluationFailure) -> bytes:
-    """Return it as JSON."""
-    return msgspec.json.encode(_Envelope(FORMAT, outcome))
-
-
-def decode(content: bytes) -> Description | EvaluationFailure:
-    """Read what `encode` wrote.
-
-    Raises:
-        ValueError: When it is something else.
-    """
-    envelope = msgspec.json.decode(content, type=_Envelope)
-    if envelope.format != FORMAT:
-        raise ValueError(f"records of format {envelope.format}; {FORMAT} is read here")
-    return envelope.outcome
-
-
-_NOT_FINITE: Final = {".inf": math.inf, "-.inf": -math.inf, ".nan": math.nan}
-_DOUBLES: Final = frozenset({ParameterType.DOUBLE, ParameterType.DOUBLE_ARRAY})
-
-
-def parameter(name: str, value: ParameterValue) -> Parameter:
-    """Make the record of a parameter."""
-    payload = value.value
-    if isinstance(payload, bytes):
-        return Parameter(name, value.type, base64.b64encode(payload).decode("ascii"))
-    if isinstance(payload, tuple):
-        return Parameter(name, value.type, tuple(_to_json(each) for each in payload))
-    return Parameter(name, value.type, _to_json(payload))
-
-
-def typed_value(record: Parameter) -> ParameterValue:
-    """Return the value of a parameter.
-
-    Raises:
-        ValueError: When a byte array is not base64.
-    """
-    kind, value = record.type, record.value
-    if kind is ParameterType.BYTE_ARRAY:
-        return ParameterValue(kind, base64.b64decode(str(value), validate=True))
-    if isinstance(value, tuple):
-        items = tuple(_from_json(kind, each) for each in value)
-        return ParameterValue(kind, items)  # type: ignore[arg-type] # as its type says
-    return ParameterValue(kind, _from_json(kind, value))
-
-
-def _to_json(value: Plain) -> Plain:
-    if isinstance(value, float) and not math.isfinite(value):
-        return ".nan" if math.isnan(value) else ".inf" if value > 0 else "-.inf"
-    return value
-
-
-def _from_json(kind: ParameterType, value: Plain) -> Plain:
-    if kind in _DOUBLES:
-        return _NOT_FINITE[value] if isinstance(value, str) else float(value)
-    return value
 
 
 class Losses:
@@ -395,8 +304,3 @@ class Losses:
     def note(self, where: str, what: str) -> None:
         """Report something that is worth knowing."""
         self._found[Loss(where, what, is_note=True)] = None
-
-    @property
-    def count(self) -> int:
-        """How much is missing; notes are not counted."""
-        return sum(not loss.is_note for loss in self._found)

@@ -13,6 +13,7 @@ from play_launch.config.load import load_config
 from play_launch.config.model import (
     FOR_ALL,
     ContainerConfig,
+    ParameterConfig,
     ParameterSection,
     ProcessConfig,
     ReplayConfig,
@@ -22,15 +23,13 @@ from play_launch.config.resolve.parameter_files import matches
 from play_launch.container.command import parameter_file_of
 from play_launch.launch_files.configuration.options import Options
 from play_launch.launch_files.configuration.write import written
-from play_launch.launch_files.parameters import read_sections, take_sections
+from play_launch.launch_files.parameters import take_sections
 from play_launch.launch_files.records import (
     Description,
     LaunchedProcess,
     ProgramKind,
-    Section,
-    parameter,
-    typed_value,
 )
+from play_launch.launch_files.ros_launch.rcl_parameters import RclParameters
 from tests.container.channel.values import FILE_VALUES
 from tests.launch_files.values import shown
 
@@ -125,12 +124,12 @@ UNITS = st.sampled_from(
 )
 
 
-def of_node(sections: list[Section], name: str) -> dict[str, str]:
+def of_node(sections: list[ParameterSection], name: str) -> dict[str, str]:
     """Return what a node of that name takes, as rclcpp does it."""
     found = {}
     for section in sections:
         if matches(section.pattern, name):
-            found.update({each.name: shown(typed_value(each)) for each in section.parameters})
+            found.update({each.name: shown(each.value) for each in section.parameters})
     return found
 
 
@@ -139,10 +138,7 @@ def test_each_node_gets_what_it_would_get_of_ros(
     tmp_path_factory: pytest.TempPathFactory, drawn: dict[str, Any], unit: LaunchedProcess
 ) -> None:
     sections = [
-        Section(
-            pattern,
-            tuple(parameter(*pair) for pair in values.items()),
-        )
+        ParameterSection(pattern, tuple(map(ParameterConfig, values, values.values())))
         for pattern, values in drawn.items()
     ]
     take_sections(unit, sections)
@@ -153,7 +149,11 @@ def test_each_node_gets_what_it_would_get_of_ros(
     config = load_config(folder / "made.yaml")
     members: list[ContainerConfig | ProcessConfig] = [*config.containers, *config.nodes]
     (member,) = members
-    back = read_sections(parameter_file_of(member) or "")
+    (folder / "parameters.yaml").write_text(parameter_file_of(member) or "{}", encoding="utf-8")
+    reader = RclParameters()
+    reader.add_file(folder / "parameters.yaml")
+    back = list(reader.sections())
+    reader.close()
     names = ["/a/n", "/other", "/costmap/costmap", "/b/c/d", "/a/m", "/n"]
     if not member.process_parameters:
         # Without any for others, the node's own are for all that happen to be in its process.

@@ -6,6 +6,7 @@ Those without a launch file in the folder are of ros2/demos and Nav2 (branch `ja
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import tempfile
@@ -17,7 +18,7 @@ import pytest
 
 from play_launch.launch_files.configuration.options import Options
 from play_launch.launch_files.configuration.write import written
-from play_launch.launch_files.records import Description, decode, encode
+from play_launch.launch_files.records import Description
 from play_launch.launch_files.ros_launch.evaluate import evaluate
 
 FOLDER: Final = Path(__file__).parent / "records"
@@ -30,21 +31,21 @@ _HERE: Final = "/recorded"
 """What stands for the folder of a launch file in its record."""
 
 
-def record(name: str) -> bytes:
+def record(name: str) -> str:
     """Return what stands in the record of a folder, evaluated now."""
     folder = FOLDER / name
     with tempfile.TemporaryDirectory() as installed, pytest.MonkeyPatch.context() as patch:
         add_programs(Path(installed), patch)
-        found = encode(evaluate(folder / "robot.launch.xml", {}, limit=120.0))
-    return msgspec.json.format(found.replace(str(folder).encode(), _HERE.encode()), indent=1)
+        found = msgspec.to_builtins(evaluate(folder / "robot.launch.xml", {}, limit=120.0))
+    # The standard library's, for a parameter may be infinite.
+    return json.dumps(found, indent=1, ensure_ascii=False).replace(str(folder), _HERE)
 
 
 def description(name: str, folder: Path | None = None) -> Description:
     """Return a recorded description, of launch files in a folder."""
-    content = (FOLDER / name / "record.json").read_bytes()
-    found = decode(content.replace(_HERE.encode(), str(folder or FOLDER / name).encode()))
-    assert isinstance(found, Description)
-    return found
+    content = (FOLDER / name / "record.json").read_text(encoding="utf-8")
+    values = json.loads(content.replace(_HERE, str(folder or FOLDER / name)))
+    return msgspec.convert(values, Description)
 
 
 def configuration(name: str) -> str:
@@ -78,5 +79,5 @@ def add_programs(prefix: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 if __name__ == "__main__":
     for each in sys.argv[1:]:
-        (FOLDER / each / "record.json").write_bytes(record(each))
+        (FOLDER / each / "record.json").write_text(record(each), encoding="utf-8")
         (FOLDER / each / "robot.yaml").write_text(configuration(each), encoding="utf-8")

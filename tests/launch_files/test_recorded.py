@@ -28,7 +28,8 @@ def test_a_record_becomes_this_configuration(name: str) -> None:
 @needs_launch
 @pytest.mark.parametrize("name", recorded.OWN)
 def test_launch_gives_what_was_recorded(name: str) -> None:
-    assert recorded.record(name) == (recorded.FOLDER / name / "record.json").read_bytes()
+    expected = (recorded.FOLDER / name / "record.json").read_text(encoding="utf-8")
+    assert recorded.record(name) == expected
 
 
 def test_replay_brings_up_what_was_recorded(tmp_path: Path) -> None:

@@ -11,8 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from play_launch.config.dependency import Condition, OnTimeout
-from play_launch.config.model import Autostart, OnExit, ParameterType, ParameterValue
-from play_launch.launch_files import records
+from play_launch.config.model import (
+    Autostart,
+    OnExit,
+    ParameterConfig,
+    ParameterType,
+    ParameterValue,
+)
 from play_launch.launch_files.configuration.options import Containers, Options
 from play_launch.launch_files.configuration.write import Written, written
 from play_launch.launch_files.records import (
@@ -25,6 +30,7 @@ from play_launch.launch_files.records import (
     ParameterFile,
     Place,
     ProgramKind,
+    Source,
     StartCondition,
     TemporaryFile,
     Unit,
@@ -43,7 +49,7 @@ COMMON = {
     "name": NAMES,
     "namespace": NAMESPACES,
     "parameters": st.dictionaries(NAMES, VALUES, max_size=4).map(
-        lambda found: [records.parameter(*pair) for pair in found.items()]
+        lambda found: [ParameterConfig(*pair) for pair in found.items()]
     ),
     "remappings": st.lists(st.tuples(TOPICS, TOPICS), max_size=3),
     "origin": st.builds(
@@ -98,7 +104,7 @@ def test_what_is_written_is_read_back(
     for unit in unique:
         found = read[unit.full_name]
         assert {each.name: shown(each.value) for each in found.parameters} == {
-            each.name: shown(records.typed_value(each)) for each in unit.parameters
+            each.name: shown(each.value) for each in unit.parameters
         }
         assert dict(found.remappings) == firsts(unit.remappings)
         if isinstance(unit, Composable):
@@ -121,7 +127,7 @@ def test_what_is_written_is_read_back(
 
 def test_a_file_is_referenced_and_what_differs_is_written(tmp_path: Path) -> None:
     file = params(tmp_path / "p.yaml", "/**: {ros__parameters: {rate: 1, b: 2.0, c: x}}")
-    values = Values((records.parameter("rate", VALUE_5),), "/a/n")
+    values = Values(rate(5), "/a/n")
     unit = evaluated(node(sources=[file, values]))
     made = write(unit, folder=tmp_path)
     assert "p.yaml, {rate: 5}" in made.text.replace("\n      - ", ", ")
@@ -134,7 +140,8 @@ def test_a_file_is_referenced_and_what_differs_is_written(tmp_path: Path) -> Non
     assert "p.yaml" not in write(unit, folder=tmp_path, inline=True).text
 
 
-VALUE_5 = records.typed_value(records.Parameter("x", ParameterType.INTEGER, 5))
+def rate(value: int, name: str = "rate") -> tuple[ParameterConfig]:
+    return (ParameterConfig(name, ParameterValue(ParameterType.INTEGER, value)),)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +158,7 @@ def test_a_file_that_we_would_read_otherwise_is_copied(text: str, tmp_path: Path
     made = write(unit, folder=tmp_path)
     (config,) = load(made, tmp_path).nodes
     assert {each.name: shown(each.value) for each in config.parameters} == {
-        each.name: shown(records.typed_value(each)) for each in unit.parameters
+        each.name: shown(each.value) for each in unit.parameters
     }
 
 
@@ -159,13 +166,7 @@ def test_a_value_that_loses_to_an_earlier_file_stays_lost(tmp_path: Path) -> Non
     # rcl keeps sections in the order of their first mention: the file's section for all came
     # second, and holds against the first and the third source.
     file = params(tmp_path / "p.yaml", "/**: {ros__parameters: {a: 2}}")
-    one, three = (
-        Values((records.parameter("a", records.typed_value(each)),), "/a/n")
-        for each in (
-            records.Parameter("a", ParameterType.INTEGER, 1),
-            records.Parameter("a", ParameterType.INTEGER, 3),
-        )
-    )
+    one, three = (Values(rate(each, "a"), "/a/n") for each in (1, 3))
     unit = evaluated(node(sources=[one, file, three]))
     (config,) = load(write(unit, folder=tmp_path), tmp_path).nodes
     assert [each.value.value for each in config.parameters] == [2]
@@ -210,7 +211,9 @@ def test_containers_can_be_switched(tmp_path: Path) -> None:
             executable=program,
             name=f"c{number}",
             remappings=[("a", "b")],
-            parameters=[records.Parameter("use_sim_time", ParameterType.BOOL, value=True)],
+            parameters=[
+                ParameterConfig("use_sim_time", ParameterValue(ParameterType.BOOL, value=True))
+            ],
         )
 
     programs = ("component_container", "component_container", "component_container_mt")
@@ -275,14 +278,14 @@ def test_parameters_for_others_are_named_by_their_file(tmp_path: Path) -> None:
 /costmap/costmap: {ros__parameters: {width: 3, height: 2}}
 """
     file = params(tmp_path / "p.yaml", text)
-    unit = evaluated(node(sources=[file, Values((records.parameter("rate", VALUE_5),), "/a/n")]))
+    unit = evaluated(node(sources=[file, Values(rate(5), "/a/n")]))
     made = write(unit, folder=tmp_path)
     assert made.text.count("p.yaml") == 2
     assert not lost(made)
     (config,) = load(made, tmp_path).nodes
     assert {each.name: each.value.value for each in config.parameters} == {"a": 1, "rate": 5}
     assert [each.pattern for each in config.process_parameters] == ["/a/n", "/costmap/costmap"]
-    everywhere = Values((records.parameter("rate", VALUE_5),), "/**")
+    everywhere = Values(rate(5), "/**")
     unit = evaluated(node(sources=[everywhere, file]))
     made = write(unit, folder=tmp_path)
     assert made.text.count("p.yaml") == 2
@@ -305,11 +308,11 @@ def place(made: Written) -> None:
 
 def test_temporary_files_and_long_texts_stand_beside(tmp_path: Path) -> None:
     text = "/**: {ros__parameters: {rate: 1, b: 2.0}}"
-    robot = records.parameter(
+    robot = ParameterConfig(
         "robot_description", ParameterValue(ParameterType.STRING, "<robot>\n" * 500)
     )
     model = TemporaryFile("/tmp/x/urdf_a1b2c3d4.urdf", b"\xff<robot/>")
-    sources: list[records.Source] = [ParameterFile("/tmp/x/tmpq1w2e3r4", text), Values((robot,))]
+    sources: list[Source] = [ParameterFile("/tmp/x/tmpq1w2e3r4", text), Values((robot,))]
     units = [
         evaluated(node(name="one", sources=list(sources))),
         evaluated(node(name="two", sources=list(sources), arguments=[f"-file={model.path}", "x"])),

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Any
 
 from play_launch.config.load import load_config
 from play_launch.config.model import ReplayConfig
+from play_launch.container.command import parameter_file_text
 from play_launch.launch_files.configuration.options import Options
 from play_launch.launch_files.configuration.write import Written, written
-from play_launch.launch_files.parameters import evaluate_sources
+from play_launch.launch_files.parameters import take_sections
 from play_launch.launch_files.records import (
     Description,
     LaunchedProcess,
-    Losses,
     ParameterFile,
     Unit,
 )
+from play_launch.launch_files.ros_launch.rcl_parameters import RclParameters
 
 
 def load(made: Written, folder: Path) -> ReplayConfig:
@@ -44,8 +46,17 @@ def node(**fields: Any) -> LaunchedProcess:
     )
 
 
-def evaluated(unit: Unit) -> Unit:
-    losses = Losses()
-    evaluate_sources(unit, losses)
-    assert not list(losses)
+def evaluated(unit: LaunchedProcess) -> LaunchedProcess:
+    """Give a node what rcl gives it of its sources."""
+    reader = RclParameters()
+    for source in unit.sources:
+        with NamedTemporaryFile("w") as file:
+            if isinstance(source, ParameterFile):
+                file.write(Path(source.path).read_text() if source.text is None else source.text)
+            else:
+                file.write(parameter_file_text([(source.pattern, source.parameters)]))
+            file.flush()
+            reader.add_file(file.name)
+    take_sections(unit, reader.sections())
+    reader.close()
     return unit

@@ -112,7 +112,7 @@ def with_copies(description: Description, copies: Copies | None, losses: Losses)
     }
     # Of two paths of which one begins with the other, the longer one first.
     ordered = dict(sorted(names.items(), key=lambda pair: -len(pair[0])))
-    values = msgspec.to_builtins(replace(description, temporary=[]))
+    values = msgspec.to_builtins(replace(description, temporary=[]), builtin_types=(bytes,))
     return msgspec.convert(_replaced(values, ordered), Description)
 
 

@@ -11,7 +11,7 @@ from play_launch.config.values import check_topic
 from play_launch.launch_files.configuration.options import Containers
 from play_launch.launch_files.configuration.sources import add_parameters, add_sections, values_of
 from play_launch.launch_files.configuration.yaml_text import Commented
-from play_launch.launch_files.records import AtExit, ProgramKind, typed_value
+from play_launch.launch_files.records import AtExit, ProgramKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -117,9 +117,7 @@ class Members:
         if remappings := dict(self._remappings(unit)):
             entry["remappings"] = remappings
         if unit.extra_arguments:
-            entry["extra_arguments"] = {
-                each.name: typed_value(each) for each in unit.extra_arguments
-            }
+            entry["extra_arguments"] = {each.name: each.value for each in unit.extra_arguments}
         self._add_level(entry, unit)
         self._add_lifecycle(entry, unit)
         return entry

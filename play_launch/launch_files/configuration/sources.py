@@ -2,54 +2,39 @@
 
 from __future__ import annotations
 
-from enum import Enum, auto
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.config.model import FOR_ALL, ParameterConfig, ParameterType
-from play_launch.config.problems import Location, Report
-from play_launch.config.resolve.parameter_files import ParameterFileReader, matches
-from play_launch.config.source import Refused, read_bytes
-from play_launch.config.tree import Cursor, Scalar, ScalarKind
+from play_launch.config.problems import Report
 from play_launch.container.command import parameter_file_text
 from play_launch.launch_files.configuration.yaml_text import Verbatim
-from play_launch.launch_files.records import Composable, Losses, ParameterFile, Values, typed_value
+from play_launch.launch_files.parameters import is_for, read_sections
+from play_launch.launch_files.records import Composable, Losses, ParameterFile, Values
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
     from play_launch.config.model import ParameterValue
     from play_launch.launch_files.configuration.files import Copies, Paths
     from play_launch.launch_files.configuration.options import Options
-    from play_launch.launch_files.records import LaunchedProcess, Parameter, Source, Unit
+    from play_launch.launch_files.records import LaunchedProcess, Source, Unit
 
 Parameters = dict[str, "ParameterValue"]
+Sections = dict[str, Parameters]
+_Part = tuple["Source", Sections]
 
 _LONG: Final = 1000
 """Characters of a text that stands in a file of its own, such as the description of a robot."""
 
 
-class _Use(Enum):
-    """What of a file is read."""
-
-    NAMED = auto()
-    UNNAMED = auto()
-    ALL = auto()
-
-
-def values_of(unit: Unit, parameters: Iterable[Parameter], losses: Losses) -> Parameters:
+def values_of(unit: Unit, parameters: Iterable[ParameterConfig], losses: Losses) -> Parameters:
     """Return the values of evaluated parameters of a unit."""
     found: Parameters = {}
     for each in parameters:
-        try:
-            value = typed_value(each)
-        except ValueError:
-            losses.lost(unit.described, f"the parameter {each.name} is not base64")
-            continue
-        if "\x00" in each.name or "\x00" in str(value.value):
+        if "\x00" in each.name or "\x00" in str(each.value.value):
             losses.lost(unit.described, f"the parameter {each.name!r} holds a NUL character")
         else:
-            found[each.name] = value
+            found[each.name] = each.value
     return found
 
 
@@ -65,76 +50,67 @@ class ParameterSources:
         self._inline = options.inline
         self._paths = paths
         self._copies = copies
-        self._report = Report()
-        self._texts: dict[Path, bytes] = {}
-        self._files = ParameterFileReader(self._report, self._content)
-        self._unusable: set[tuple[str, _Use]] = set()
+        self._read: dict[ParameterFile, Sections] = {}
 
     def written(self, unit: Unit, values: Parameters) -> Any:
         """Return what stands at `parameters`; empty where there is nothing to say."""
-        files: list[ParameterFile] = []
-        base: Parameters = {}
-        for source in self._usable(unit):
-            found = self._read(source, unit.full_name or None)
-            if found:
-                files.append(source)
-                base.update(found)
-        overrides = _different(values, base)
-        kept = len(values) - len(overrides)
-        if not files or not base.keys() <= values.keys() or kept < max(1, len(overrides)):
-            files, overrides = [], dict(values)
-        references: list[Any] = [self._reference(unit, source) for source in files]
+        parts: list[_Part] = [
+            (source, {FOR_ALL: found})
+            for source in self._usable(unit)
+            if (found := self._for_node(unit, source))
+        ]
+        references, rest = self._split(unit, parts, {FOR_ALL: values})
+        overrides = dict(rest.get(FOR_ALL, {}))
         references += self._set_apart(unit, overrides)
         if not references:
             return overrides
         return [*references, overrides] if overrides else references
 
-    def sections(self, unit: Unit, sections: dict[str, Parameters]) -> Any:
+    def sections(self, unit: Unit, sections: Sections) -> Any:
         """Return what stands at `process_parameters`; empty where there is nothing to say.
 
         Its sources stand there in their order, in which rcl reads them too, and what differs behind
         them. A section for the node itself in a file does no harm: its `parameters` come later.
         """
-        parts: list[Any] = []
-        base: dict[str, Parameters] = {}
-        for source in self._in_order(unit):
-            found = self._sections_of(unit, source, sections)
-            if found:
-                parts.append(source if isinstance(source, ParameterFile) else dict(found))
-                for pattern, values in found:
-                    base.setdefault(pattern, {}).update(values)
-        if unit.full_name not in sections:
-            base.pop(unit.full_name, None)
-        overrides = {
-            pattern: rest
-            for pattern, values in sections.items()
-            if (rest := _different(values, base.get(pattern, {})))
+        usable = set(self._usable(unit))
+        parts: list[_Part] = []
+        for source in unit.sources:
+            found: Sections = {}
+            if isinstance(source, Values) and source.pattern in sections:
+                # What cannot be written of them was reported with the rest.
+                found = {source.pattern: values_of(unit, source.parameters, Losses())}
+            elif isinstance(source, ParameterFile) and source in usable:
+                found = self._sections_of(source)
+            own = unit.full_name if unit.full_name not in sections else ""
+            if found := {name: each for name, each in found.items() if each and name != own}:
+                parts.append((source, found))
+        references, rest = self._split(unit, parts, sections)
+        return [*references, rest] if references and rest else references or rest
+
+    def _split(
+        self, unit: Unit, parts: list[_Part], wanted: Sections
+    ) -> tuple[list[Any], Sections]:
+        """Return parts that hold most of what is wanted, and what differs; else all of it."""
+        base: Sections = {}
+        for _, found in parts:
+            for pattern, values in found.items():
+                base.setdefault(pattern, {}).update(values)
+        rest = {
+            pattern: differing
+            for pattern, values in wanted.items()
+            if (differing := _different(values, base.get(pattern, {})))
         }
-        fits = list(dict.fromkeys((*base, *sections))) == list(sections) and all(
-            values.keys() <= sections[pattern].keys() for pattern, values in base.items()
+        fits = list(dict.fromkeys((*base, *wanted))) == list(wanted) and all(
+            values.keys() <= wanted[pattern].keys() for pattern, values in base.items()
         )
-        given = [each for each in (*parts, overrides) if isinstance(each, dict)]
+        given = [rest, *(found for source, found in parts if isinstance(source, Values))]
         count = sum(len(values) for each in given for values in each.values())
-        total = sum(map(len, sections.values()))
-        if not fits or total - count < max(1, count):
-            return sections
-        if overrides:
-            parts.append(overrides)
-        return [each if isinstance(each, dict) else self._reference(unit, each) for each in parts]
-
-    def _in_order(self, unit: Unit) -> Iterable[Source]:
-        """Return the sources that can be written, where one of them is a file."""
-        files = set(self._usable(unit))
-        return (each for each in unit.sources if isinstance(each, Values) or each in files)
-
-    def _sections_of(
-        self, unit: Unit, source: Source, wanted: Mapping[str, Parameters]
-    ) -> list[tuple[str, Parameters]]:
-        if isinstance(source, ParameterFile):
-            return self._read_sections(source)
-        # What cannot be written of them was reported with the rest.
-        values = values_of(unit, source.parameters, Losses())
-        return [(source.pattern, values)] if values and source.pattern in wanted else []
+        if not fits or sum(map(len, wanted.values())) - count < max(1, count):
+            return [], wanted
+        return [
+            self._reference(unit, source) if isinstance(source, ParameterFile) else found
+            for source, found in parts
+        ], rest
 
     def _usable(self, unit: Unit) -> Iterable[ParameterFile]:
         """Return the parameter files of a unit that can be named, each once."""
@@ -171,38 +147,26 @@ class ParameterSources:
         parameters = [ParameterConfig(name, value) for name, value in long.items()]
         return [self._copy(unit, parameter_file_text([(FOR_ALL, parameters)]))]
 
-    def _content(self, path: Path) -> bytes | Refused:
-        return self._texts[path] if path in self._texts else read_bytes(path)
-
-    def _at(self, source: ParameterFile) -> Cursor:
-        if source.text is not None:
-            self._texts[Path(source.path)] = source.text.encode()
-        start = Location(str(Path(source.path)), 1, 1)
-        scalar = Scalar(start, ScalarKind.STRING, source.path, source.path, plain=False)
-        return Cursor(scalar, "", self._report)
-
-    def _read(self, source: ParameterFile, full_name: str | None) -> Parameters:
-        use = _Use.UNNAMED if full_name is None else _Use.NAMED
-        if not self._unusable.isdisjoint({(source.path, use), (source.path, _Use.ALL)}):
+    def _for_node(self, unit: Unit, source: ParameterFile) -> Parameters:
+        """Return what a file holds for a node; nothing where it has no name to find that by."""
+        found = self._sections_of(source)
+        if not unit.full_name and found.keys() != {FOR_ALL}:
             return {}
-        before = len(self._report)
-        found = self._files.select(self._at(source), source.path, full_name)
-        return found if self._is_fine(source, use, before) else {}
+        values: Parameters = {}
+        for pattern, each in found.items():
+            if is_for(unit, pattern):
+                values |= each
+        return values
 
-    def _read_sections(self, source: ParameterFile) -> list[tuple[str, Parameters]]:
-        if not self._unusable.isdisjoint({(source.path, _Use.NAMED), (source.path, _Use.ALL)}):
-            return []
-        before = len(self._report)
-        found = [each for each in self._files.sections(self._at(source), source.path) if each[1]]
-        return found if self._is_fine(source, _Use.ALL, before) else []
-
-    def _is_fine(self, source: ParameterFile, use: _Use, before: int) -> bool:
-        """Return whether our reader accepts it; each mistake in a file is reported only once."""
-        if len(self._report) == before:
-            return True
-        # It refuses something that rcl takes, such as `yes`.
-        self._unusable.add((source.path, use))
-        return False
+    def _sections_of(self, source: ParameterFile) -> Sections:
+        """Return what our reader finds in a file; nothing where it refuses what rcl takes."""
+        if source not in self._read:
+            report = Report()
+            found: Sections = {}
+            for pattern, values in read_sections(source, report):
+                found.setdefault(pattern, {}).update(values)
+            self._read[source] = {} if len(report) else found
+        return self._read[source]
 
 
 def _different(values: Parameters, base: Parameters) -> Parameters:
@@ -221,7 +185,7 @@ def add_parameters(
     """Add `parameters` of a process, and `process_parameters` where others in it get something."""
     own = values_of(unit, unit.parameters, losses)
     is_named = bool(unit.package and unit.name)
-    if all(_is_for(unit, each.pattern) for each in unit.for_others):
+    if all(is_for(unit, each.pattern) for each in unit.for_others):
         # Replay gives those to all nodes of the process.
         if written := sources.written(unit, own):
             entry["parameters"] = written
@@ -242,13 +206,9 @@ def add_sections(
     sections = {each.pattern: values_of(unit, each.parameters, losses) for each in unit.for_others}
     given: Parameters = {}
     for pattern, values in sections.items():
-        if _is_for(unit, pattern):
+        if is_for(unit, pattern):
             given |= values
     if rest := {name: value for name, value in own.items() if not same(given.get(name), value)}:
         sections[unit.full_name or FOR_ALL] = rest
     if written := sources.sections(unit, sections):
         entry["process_parameters"] = written
-
-
-def _is_for(unit: LaunchedProcess, pattern: str) -> bool:
-    return pattern == FOR_ALL or bool(unit.full_name and matches(pattern, unit.full_name))

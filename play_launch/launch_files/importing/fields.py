@@ -1,57 +1,60 @@
-"""The fields of a foreign description, each taken once, and what they are turned into."""
+"""The fields of a foreign description, each taken once, and the members that they describe."""
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.config.compose import compose
-from play_launch.config.model import ParameterType, ParameterValue
+from play_launch.config.model import (
+    FOR_ALL,
+    ParameterConfig,
+    ParameterSection,
+    ParameterType,
+    ParameterValue,
+)
 from play_launch.config.problems import Report, excerpt
 from play_launch.config.resolve.parameters import flatten
-from play_launch.config.tree import Cursor, Entry, Mapping, Sequence
+from play_launch.config.tree import Cursor, Entry, Mapping, Sequence, resolve_scalar
+from play_launch.launch_files.parameters import read_sections, take_sections
 from play_launch.launch_files.records import (
+    Composable,
+    LaunchedProcess,
     LaunchOrigin,
-    Parameter,
     ParameterFile,
     Place,
     Values,
-    parameter,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
-    from play_launch.launch_files.records import Losses, Source, Unit
+    from play_launch.launch_files.records import Losses, ProgramKind, Source, Unit
 
-_INTEGER: Final = re.compile(r"[-+]?[0-9]+", re.ASCII)
-_DOUBLE: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?", re.ASCII)
-_TRUTH: Final = {"true": True, "True": True, "false": False, "False": False}
+_TYPES: Final[dict[type, ParameterType]] = {
+    bool: ParameterType.BOOL,
+    int: ParameterType.INTEGER,
+    float: ParameterType.DOUBLE,
+}
+_KEYS: Final = (("from", "to"), ("name", "value"))
+"""Names of the two fields, where a pair is a record."""
 
 _Values = dict[str, ParameterValue]
 
 
-def typed_values(name: str, text: str) -> list[Parameter] | None:
-    """Return the parameters that a text gives; None: no value.
-
-    A mapping gives several, whose names are joined with dots.
-    """
-    found = _typed(name, text)
-    return None if found is None else [parameter(*pair) for pair in found.items()]
-
-
-def _typed(name: str, text: str) -> _Values | None:
-    if text in _TRUTH:
-        return {name: ParameterValue(ParameterType.BOOL, _TRUTH[text])}
-    if _INTEGER.fullmatch(text) and -(2**63) <= int(text) < 2**63:
-        return {name: ParameterValue(ParameterType.INTEGER, int(text))}
-    if _DOUBLE.fullmatch(text) and not _INTEGER.fullmatch(text):
-        return {name: ParameterValue(ParameterType.DOUBLE, float(text))}
+def typed_values(name: str, text: str) -> _Values | None:
+    """Return the parameters that a text gives, several for a mapping; None: no value or no type."""
     if text.lstrip().startswith(("[", "{")):
         found = _collection(name, text)
         if found is not None:
             return found or None
-    return {name: ParameterValue(ParameterType.STRING, text)} if text else None
+    try:
+        _, value = resolve_scalar(text, None, plain=True)
+    except ValueError:
+        value = text
+    kind = _TYPES.get(type(value))
+    if kind is None or (isinstance(value, int) and not -(2**63) <= value < 2**63):
+        return {name: ParameterValue(ParameterType.STRING, text)} if text else None
+    return {name: ParameterValue(kind, value)}  # type: ignore[arg-type] # as its type says
 
 
 def _collection(name: str, text: str) -> _Values | None:
@@ -74,52 +77,13 @@ def _collection(name: str, text: str) -> _Values | None:
     return None
 
 
-def origin_of(name: str) -> LaunchOrigin:
-    """Return the origin for the name of a launch file, which may be empty."""
-    return LaunchOrigin(Place(name))
-
-
-def inline(name: str, text: str, where: str, losses: Losses) -> Source:
-    """Return a source that holds one value, given as text."""
-    return Values(parameters([(name, text)], where, losses))
-
-
-def parameters(
-    pairs: Iterable[tuple[str, str]], where: str, losses: Losses
-) -> tuple[Parameter, ...]:
-    """Return values that are given as text."""
-    found: list[Parameter] = []
-    for name, text in pairs:
-        typed = typed_values(name, text)
-        if typed is None:
-            losses.lost(where, f"the parameter {name} has no value or no type")
-        else:
-            found += typed
-    return tuple(found)
-
-
-def file_text(text: str) -> Source:
-    """Return a source that is the content of a parameter file."""
-    return ParameterFile(text=text)
-
-
-def set_name(node: Unit, name: str, namespace: str) -> None:
-    """Give a node its name and namespace; a name may hold a namespace itself."""
-    namespace = "/" + namespace.strip("/")
-    before, slash, last = name.rpartition("/")
-    if slash:
-        namespace = before if name.startswith("/") else f"{namespace.rstrip('/')}/{before}"
-    node.namespace = "/" + namespace.strip("/")
-    node.name = last
-
-
 class Fields:
     """The fields of a record, each taken once; what is left over was not understood."""
 
     def __init__(self, values: Any, where: str, losses: Losses) -> None:
         self._left: dict[str, Any] = dict(values) if isinstance(values, dict) else {}
         self.where = where
-        self._losses = losses
+        self.losses = losses
         if not isinstance(values, dict):
             losses.lost(where, "is no record with fields")
 
@@ -130,68 +94,75 @@ class Fields:
     def text(self, name: str) -> str:
         """Return a text; empty where it is missing."""
         value = self.take(name)
-        if value is None or isinstance(value, str):
-            return value or ""
         if isinstance(value, bool | int | float):
             return as_text(value)
-        self._refuse(name, "a text")
-        return ""
+        return str(self._checked(name, value, str, "a text") or "")
 
     def flag(self, name: str) -> bool | None:
         """Return a truth value; None where it is missing."""
-        value = self.take(name)
-        if value is None or isinstance(value, bool):
-            return value
-        self._refuse(name, "true or false")
-        return None
+        found: bool | None = self._checked(name, self.take(name), bool, "true or false")
+        return found
 
     def number(self, name: str) -> float | None:
         """Return a number; None where it is missing."""
         value = self.take(name)
-        if value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
-            return value
-        self._refuse(name, "a number")
-        return None
+        kind = () if isinstance(value, bool) else (int, float)
+        found: float | None = self._checked(name, value, kind, "a number")
+        return found
 
     def texts(self, name: str) -> list[str]:
         """Return a list of texts."""
         value = self.take(name)
-        if value is None:
-            return []
-        if isinstance(value, list) and all(isinstance(each, str) for each in value):
-            return list(value)
-        self._refuse(name, "a list of texts")
-        return []
+        is_fine = isinstance(value, list) and all(isinstance(each, str) for each in value)
+        return list(self._checked(name, value, list if is_fine else (), "a list of texts") or ())
 
-    def pairs(self, name: str, keys: tuple[str, str] | None = None) -> list[tuple[str, str]]:
-        """Return pairs of texts; they are lists of two, or records with the two `keys`."""
+    def pairs(self, name: str) -> list[tuple[str, str]]:
+        """Return pairs of texts: a record, or a list of lists of two or of records with `_KEYS`."""
         value = self.take(name)
         if value is None:
             return []
-        if isinstance(value, dict) and keys is None:
-            value = [list(pair) for pair in value.items()]
+        if isinstance(value, dict):
+            value = list(value.items())
         found: list[tuple[str, str]] = []
         for each in value if isinstance(value, list) else [None]:
-            pair = [each.get(key) for key in keys] if keys and isinstance(each, dict) else each
-            if (
-                isinstance(pair, list)
-                and len(pair) == 2
-                and isinstance(pair[0], str)
-                and isinstance(pair[1], str | bool | int | float | list)
-            ):
-                found.append((pair[0], as_text(pair[1])))
-            else:
-                self._refuse(name, "a list of pairs")
+            match each:
+                case {"from": key, "to": text} | {"name": key, "value": text} | [key, text] if (
+                    isinstance(key, str) and isinstance(text, str | bool | int | float | list)
+                ):
+                    found.append((key, as_text(text)))
+                case _:
+                    self._refuse(name, "a list of pairs")
         return found
+
+    def parameters(self, name: str) -> tuple[ParameterConfig, ...]:
+        """Return values that are given as text."""
+        return self.typed(self.pairs(name))
+
+    def typed(self, pairs: Iterable[tuple[str, str]]) -> tuple[ParameterConfig, ...]:
+        """Return parameters of names and texts."""
+        found: list[ParameterConfig] = []
+        for name, text in pairs:
+            values = typed_values(name, text)
+            if values is None:
+                self.losses.lost(self.where, f"the parameter {name} has no value or no type")
+            else:
+                found += [ParameterConfig(*pair) for pair in values.items()]
+        return tuple(found)
 
     def refuse_rest(self) -> None:
         """Report the unread fields that are not empty."""
         for name, value in self._left.items():
             if value not in (None, "", [], {}, False):
-                self._losses.lost(self.where, f"the field {name} is not understood")
+                self.losses.lost(self.where, f"the field {name} is not understood")
+
+    def _checked(self, name: str, value: Any, kind: Any, expected: str) -> Any:
+        if value is None or isinstance(value, kind):
+            return value
+        self._refuse(name, expected)
+        return None
 
     def _refuse(self, name: str, expected: str) -> None:
-        self._losses.lost(self.where, f"the field {name} is not {expected}")
+        self.losses.lost(self.where, f"the field {name} is not {expected}")
 
 
 def as_text(value: object) -> str:
@@ -203,3 +174,98 @@ def as_text(value: object) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(as_text(each) for each in value) + "]"
     return str(value)
+
+
+def read_unit(
+    fields: Fields, kind: ProgramKind | None, file: str, filled: Callable[[str], str] = str
+) -> Unit:
+    """Return the member that a record of `file` describes; without a kind a composable node.
+
+    `filled` puts the values of variables into texts.
+    """
+    unit: Unit = Composable() if kind is None else LaunchedProcess(kind=kind)
+    _set_name(unit, fields.text("node_name") or fields.text("name"), fields.text("namespace"))
+    if unit.name and fields.where != unit.full_name:
+        fields.where += f" {unit.full_name}"
+    unit.where = fields.where
+    unit.origin = LaunchOrigin(Place(file))
+    unit.package = fields.text("package")
+    unit.remappings = fields.pairs("remaps")
+    environment = fields.pairs("env")
+    if isinstance(unit, Composable):
+        if environment:
+            what = "environment variables: it shares those of its container"
+            fields.losses.lost(unit.where, what)
+        unit.plugin = fields.text("plugin")
+        unit.container = fields.text("target_container_name")
+        unit.log_level = fields.text("log_level")
+        unit.extra_arguments = list(fields.parameters("extra_args"))
+    else:
+        unit.environment = environment
+        unit.executable = filled(fields.text("executable"))
+        unit.arguments = [filled(each) for each in fields.texts("args")]
+        unit.ros_arguments = [filled(each) for each in fields.texts("ros_args")]
+        command = fields.texts("cmd")
+        if not unit.package and command:
+            # As that program does it: the first word is a whole command line.
+            unit.command = [*command[0].split(), *command[1:]]
+        unit.respawn = fields.flag("respawn")
+        unit.respawn_delay = fields.number("respawn_delay")
+    unit.sources = _sources(fields)
+    _evaluate(unit, fields.losses)
+    return unit
+
+
+def _set_name(unit: Unit, name: str, namespace: str) -> None:
+    """Give a node its name and namespace; a name may hold a namespace itself."""
+    namespace = "/" + namespace.strip("/")
+    before, slash, last = name.rpartition("/")
+    if slash:
+        namespace = before if name.startswith("/") else f"{namespace.rstrip('/')}/{before}"
+    unit.namespace = "/" + namespace.strip("/")
+    unit.name = last
+
+
+def _sources(fields: Fields) -> list[Source]:
+    common: list[Source] = [Values((each,)) for each in fields.parameters("global_params")]
+    values: list[Source] = [Values((each,)) for each in fields.parameters("params")]
+    files: list[Source] = [ParameterFile(text=text) for text in fields.texts("params_files")]
+    # Without the ordered list, what stands in the launch file itself comes last.
+    return common + (_ordered_sources(fields) or files + common + values)
+
+
+def _ordered_sources(fields: Fields) -> list[Source]:
+    found: list[Source] = []
+    sources = fields.take("param_sources") or []
+    for each in sources if isinstance(sources, list) else [sources]:
+        match each:
+            case {"kind": "inline", "name": str(name), "value": value}:
+                found.append(Values(fields.typed([(name, as_text(value))])))
+            case {"kind": "file", "content": str(content)}:
+                found.append(ParameterFile(text=content))
+            case _:
+                what = "a source of parameters is neither a value nor a file"
+                fields.losses.lost(fields.where, what)
+    return found
+
+
+def _evaluate(unit: Unit, losses: Losses) -> None:
+    """Give a node what it gets of its sources; a section counts where it is mentioned first."""
+    report = Report()
+    sections: dict[str, _Values] = {}
+    for source in unit.sources:
+        if isinstance(source, Values):
+            values = {each.name: each.value for each in source.parameters}
+            sections.setdefault(FOR_ALL, {}).update(values)
+            continue
+        for pattern, values in read_sections(source, report):
+            sections.setdefault(pattern, {}).update(values)
+    for problem in report:
+        losses.lost(unit.described, str(problem))
+    take_sections(
+        unit,
+        [
+            ParameterSection(pattern, tuple(map(ParameterConfig, values, values.values())))
+            for pattern, values in sections.items()
+        ],
+    )

@@ -9,26 +9,24 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.config.model import Autostart
-from play_launch.launch_files.importing.fields import (
-    Fields,
-    file_text,
-    inline,
-    origin_of,
-    parameters,
-    set_name,
-)
-from play_launch.launch_files.importing.launch_dump import ordered_sources
-from play_launch.launch_files.parameters import evaluate_sources
-from play_launch.launch_files.records import Composable, Description, LaunchedProcess, ProgramKind
+from play_launch.launch_files.importing.fields import Fields, read_unit
+from play_launch.launch_files.records import Description, ProgramKind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.launch_files.records import Losses, Source, Unit
+    from play_launch.launch_files.records import Losses, Unit
 
 NEWEST_VERSION: Final = 1
 _WIRING: Final = ("topics", "services", "actions")
 _CONTAINER_PROGRAM: Final = "component_container"
+_RENAMED: Final = {
+    "container": "target_container_name",
+    "exec": "executable",
+    "pkg": "package",
+    "raw_cmd": "cmd",
+}
+"""Fields that `record.json` has by other names."""
 _AUTOSTART: Final = {"configure": Autostart.CONFIGURE, "active": Autostart.ACTIVATE}
 
 
@@ -109,60 +107,26 @@ def _read_execution(values: Any, losses: Losses) -> dict[str, str]:
 def _node(
     key: str, record: Any, targets: set[str], scopes: Mapping[str, Any], losses: Losses
 ) -> Unit:
-    fields = Fields(record, key, losses)
-    plugin = fields.text("plugin")
-    container = fields.text("container")
-    executable = fields.text("exec")
-    is_container = bool(fields.flag("is_container")) or (
+    values = {_RENAMED.get(name, name): value for name, value in _mapping(record).items()}
+    is_composable = bool(values.get("plugin"))
+    is_container = bool(values.pop("is_container", False)) or (
         # As older models have it.
-        not plugin and key in targets and executable.startswith(_CONTAINER_PROGRAM)
-    )
-    node: Unit = (
-        Composable(where=key, plugin=plugin, container=container)
-        if plugin
-        else LaunchedProcess(
-            where=key,
-            kind=ProgramKind.CONTAINER if is_container else ProgramKind.NODE,
-            executable=executable,
-        )
+        key in targets and str(values.get("executable")).startswith(_CONTAINER_PROGRAM)
     )
     namespace, _, last = key.rpartition("/")
     # A process whose name is not declared is called after its executable, with a number.
-    declared = fields.text("node_name") or (last if plugin or is_container else "")
-    set_name(node, declared.rpartition("/")[2], namespace)
-    node.package = fields.text("pkg")
-    node.remappings = fields.pairs("remaps", ("from", "to"))
-    environment = fields.pairs("env", ("name", "value"))
-    command = fields.texts("raw_cmd")
-    respawn, respawn_delay = fields.flag("respawn"), fields.number("respawn_delay")
-    arguments, ros_arguments = fields.texts("args"), fields.texts("ros_args")
-    extra = parameters(fields.pairs("extra_args"), key, losses)
-    if isinstance(node, LaunchedProcess):
-        node.arguments, node.ros_arguments = arguments, ros_arguments
-        node.environment = environment
-        node.respawn, node.respawn_delay = respawn, respawn_delay
-        if not node.package and command:
-            node.command = [*command[0].split(), *command[1:]]
-    else:
-        node.extra_arguments = list(extra)
-        if environment:
-            losses.lost(key, "environment variables: it shares those of its container")
-    node.sources = _sources(fields, losses)
-    evaluate_sources(node, losses)
-    node.autostart = _autostart(fields, losses)
+    name = values.get("node_name") or (last if is_composable or is_container else "")
+    values |= {"node_name": str(name).rpartition("/")[2], "namespace": namespace}
+    fields = Fields(values if isinstance(record, dict) else record, key, losses)
+    autostart = _autostart(fields, losses)
     scope = fields.text("scope")
-    node.origin = origin_of(scope if scope in scopes else "")
     if criticality := fields.text("criticality"):
         losses.lost(key, f"its criticality {criticality}: nodes run unscheduled here")
+    kind = ProgramKind.CONTAINER if is_container else ProgramKind.NODE
+    unit = read_unit(fields, None if is_composable else kind, scope if scope in scopes else "")
+    unit.autostart = autostart
     fields.refuse_rest()
-    return node
-
-
-def _sources(fields: Fields, losses: Losses) -> list[Source]:
-    values = [inline(*pair, fields.where, losses) for pair in fields.pairs("params")]
-    files = [file_text(text) for text in fields.texts("params_files")]
-    # Without the ordered list, what stands in the launch file itself comes last.
-    return ordered_sources(fields, losses) or files + values
+    return unit
 
 
 def _autostart(fields: Fields, losses: Losses) -> Autostart | None:

@@ -1,7 +1,6 @@
-"""Evaluates one launch file for `evaluate`: a job as JSON in the arguments, the answer on stdout.
+"""Evaluates one launch file for `evaluate`: a job as JSON in the arguments, the answer in a file.
 
-What the launch file prints goes to stderr. The process ends at once after the answer, whatever
-threads the launch file has left.
+The process ends at once after the answer, whatever threads the launch file has left.
 """
 
 from __future__ import annotations
@@ -27,7 +26,6 @@ from play_launch.launch_files.records import (
     Job,
     LaunchOrigin,
     Place,
-    encode,
 )
 from play_launch.launch_files.ros_launch.places import Places, reason_of, trail
 
@@ -45,8 +43,6 @@ _PACKAGES: Final = ("launch", "launch_ros", "launch_xml", "launch_yaml", "osrf_p
 
 def main() -> None:
     """Answer, and end."""
-    descriptor = os.dup(1)
-    os.dup2(2, 1)
     job = msgspec.json.decode(sys.argv[1], type=Job)
     # Most of what is made stays: looking for garbage as often as usual takes a tenth of the time.
     gc.set_threshold(_OBJECTS)
@@ -55,17 +51,15 @@ def main() -> None:
 
     def answer(found: Description | EvaluationFailure) -> None:
         try:
-            records = encode(found)
+            records = msgspec.msgpack.encode(found)
         except UnicodeEncodeError as error:
             text = error.object[error.start : error.end + 20]
             what = f"it holds what is not UTF-8: {text!a}"
-            records = encode(EvaluationFailure(what, LaunchOrigin(Place(job.path))))
-        # Before the answer, after which this process may be killed.
+            records = msgspec.msgpack.encode(EvaluationFailure(what, LaunchOrigin(Place(job.path))))
         for stream in (sys.stdout, sys.stderr):
             with suppress(Exception):
                 stream.flush()
-        with open(descriptor, "wb") as file:  # noqa: PTH123 - a descriptor
-            file.write(records + b"\n")
+        Path(job.answer).write_bytes(records)
 
     _answer(job, answer)
     os._exit(0)

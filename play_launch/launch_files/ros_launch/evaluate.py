@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import os
-import select
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -28,7 +28,6 @@ from play_launch.launch_files.records import (
     LaunchOrigin,
     Place,
 )
-from play_launch.launch_files.records import decode as decode_records
 from play_launch.process.guard import SessionGuard
 
 if TYPE_CHECKING:
@@ -38,9 +37,8 @@ if TYPE_CHECKING:
 
 _GRACE: Final = 15.0
 """Seconds beyond the limit in which the process may import launch, and say where it hangs."""
-_END_LIMIT: Final = 5.0
+_POLL: Final = 0.01
 _MODULE: Final = "play_launch.launch_files.ros_launch"
-_CHUNK: Final = 1 << 20
 
 
 def missing_package() -> str:
@@ -80,7 +78,8 @@ def evaluate(
         job = Job(
             path=str(path.absolute()),
             arguments=tuple(arguments.items()),
-            temporary=temporary,
+            temporary=f"{temporary}/files",
+            answer=f"{temporary}/answer",
             limit=limit,
             is_faster=is_faster,
             only_arguments=only_arguments,
@@ -92,38 +91,35 @@ def evaluate(
             raise LaunchFileError(
                 EvaluationFailure("its path or arguments are not UTF-8", place)
             ) from None
-        found = _run(job, text)
+        os.mkdir(job.temporary)  # noqa: PTH102
+        found = asyncio.run(_run(job, text))
     if isinstance(found, EvaluationFailure):
         raise LaunchFileError(found)
     return found
 
 
-def _run(job: Job, text: str) -> Description | EvaluationFailure:
+async def _run(job: Job, text: str) -> Description | EvaluationFailure:
     guard = SessionGuard.start(spawn_guard())
     try:
-        read, write = os.pipe()
-        with open(read, "rb", buffering=0) as answer:  # noqa: PTH123 - a descriptor
-            try:
-                # -P: a folder `launch` in the working directory is not what is imported.
-                argv = [sys.executable, "-P", "-m", _MODULE, text]
-                with open(os.devnull, "rb") as nothing:  # noqa: PTH123
-                    streams = {0: nothing.fileno(), 1: write, 2: 2}
-                    start = guard.spawn(argv, _environment(), streams, leaves_by_itself=False)
-                    pid = asyncio.run(start)
-            finally:
-                os.close(write)
-            if not job.only_arguments:
-                # What the answer is written with, while the other process imports launch.
-                import play_launch.launch_files.configuration.write  # noqa: F401, PLC0415
-            content = _read(answer.fileno(), job.limit + _GRACE)
-        if content is None:
-            return _failure(job, f"it is not evaluated after {job.limit:g} s, and does not say why")
-        try:
-            return decode_records(content)
-        except ValueError:
-            return _failure(job, f"it ends its own evaluation: {asyncio.run(_end(guard, pid))}")
+        # -P: a folder `launch` in the working directory is not what is imported.
+        argv = [sys.executable, "-P", "-m", _MODULE, text]
+        with open(os.devnull, "rb") as nothing:  # noqa: ASYNC230, PTH123
+            # What the launch file prints is no result.
+            streams = {0: nothing.fileno(), 1: 2, 2: 2}
+            pid = await guard.spawn(argv, _environment(), streams, leaves_by_itself=False)
+        if not job.only_arguments:
+            # What the answer is written with, while the other process imports launch.
+            import play_launch.launch_files.configuration.write  # noqa: F401, PLC0415
+        ended = await _end(guard, pid, job.limit + _GRACE)
+        with suppress(OSError, msgspec.MsgspecError):
+            content = Path(job.answer).read_bytes()  # noqa: ASYNC240
+            return msgspec.msgpack.decode(content, type=Description | EvaluationFailure)
     finally:
         guard.close()
+    what = f"it is not evaluated after {job.limit:g} s, and does not say why"
+    if ended is not None:
+        what = f"it ends its own evaluation: {ended}"
+    return EvaluationFailure(what, LaunchOrigin(Place(job.path)))
 
 
 def _environment() -> dict[str, str]:
@@ -132,34 +128,9 @@ def _environment() -> dict[str, str]:
     return {**os.environ, "AMENT_PREFIX_PATH": os.pathsep.join(map(str, prefixes))}
 
 
-def _failure(job: Job, message: str) -> EvaluationFailure:
-    return EvaluationFailure(message, LaunchOrigin(Place(job.path)))
-
-
-def _read(descriptor: int, limit: float) -> bytes | None:
-    """Read the answer, or what there is of it; None when that takes longer than the limit."""
+async def _end(guard: SessionGuard, pid: int, limit: float) -> Exit | None:
+    """Return how the process exited; None when it takes longer than the limit."""
     deadline = time.monotonic() + limit
-    content = bytearray()
-    while True:
-        left = deadline - time.monotonic()
-        if left <= 0 or not select.select([descriptor], [], [], left)[0]:
-            return None
-        chunk = os.read(descriptor, _CHUNK)
-        content += chunk
-        # What the launch file has forked may hold the pipe, so that it does not end.
-        if chunk.endswith(b"\n") or not chunk:
-            return bytes(content)
-
-
-async def _end(guard: SessionGuard, pid: int) -> str:
-    """Describe how the process exited after it had closed its end of the pipe."""
-    deadline = time.monotonic() + _END_LIMIT
-    found: Exit | None = None
-    while found is None and time.monotonic() < deadline:
-        try:
-            found = await guard.ended(pid)
-        except ChildProcessError:
-            break
-        if found is None:
-            await asyncio.sleep(0.01)
-    return str(found) if found is not None else "it closed its output"
+    while (found := await guard.ended(pid)) is None and time.monotonic() < deadline:  # noqa: ASYNC110
+        await asyncio.sleep(_POLL)
+    return found

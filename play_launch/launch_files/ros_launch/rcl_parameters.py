@@ -11,8 +11,13 @@ import ctypes
 import functools
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.config.model import FOR_ALL, ParameterType, ParameterValue
-from play_launch.launch_files.records import Parameter, Section, parameter
+from play_launch.config.model import (
+    FOR_ALL,
+    ParameterConfig,
+    ParameterSection,
+    ParameterType,
+    ParameterValue,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -135,14 +140,16 @@ class RclParameters:
         if not self._parser.rcl_parse_yaml_value(*texts, self._held):
             raise RclParametersError(self._error())
 
-    def sections(self) -> Iterator[Section]:
+    def sections(self) -> Iterator[ParameterSection]:
         """Return what was read; a name without a slash gets one, as in rclcpp."""
         held = self._held.contents
         for number in range(held.count):
             pattern = held.node_names[number].decode(errors="replace")
             node = held.nodes[number]
             parameters = tuple(_parameters(node))
-            yield Section(pattern if pattern.startswith("/") else f"/{pattern}", parameters)
+            yield ParameterSection(
+                pattern if pattern.startswith("/") else f"/{pattern}", parameters
+            )
 
     def _error(self) -> str:
         text: bytes = self._utilities.rcutils_get_error_string().str
@@ -151,11 +158,11 @@ class RclParameters:
         return text.decode(errors="replace").split(", at ", 1)[0].strip()
 
 
-def _parameters(node: _NodeParameters) -> Iterator[Parameter]:
+def _parameters(node: _NodeParameters) -> Iterator[ParameterConfig]:
     for number in range(node.count):
         found = _value(node.values[number])
         if found is not None:
-            yield parameter(node.names[number].decode(errors="replace"), found)
+            yield ParameterConfig(node.names[number].decode(errors="replace"), found)
 
 
 def _value(variant: _Variant) -> ParameterValue | None:
@@ -180,7 +187,7 @@ def _value(variant: _Variant) -> ParameterValue | None:
     return None
 
 
-def parameter_of(given: Any) -> Parameter | None:
+def parameter_of(given: Any) -> ParameterConfig | None:
     """Return what a `rclpy.Parameter` holds; None where it is not set."""
     value, number = given.value, given.type_.value
     if not number:
@@ -190,4 +197,4 @@ def parameter_of(given: Any) -> Parameter | None:
         value = b"".join(value)
     elif isinstance(value, list | tuple | array.array):
         value = tuple(value)
-    return parameter(given.name, ParameterValue(kind, value))
+    return ParameterConfig(given.name, ParameterValue(kind, value))

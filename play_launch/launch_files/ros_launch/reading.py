@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import importlib
-import stat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree as ET
@@ -14,7 +13,6 @@ import launch.frontend
 import yaml
 from launch_ros.descriptions import ComposableNode
 
-from play_launch.launch_files.find import LARGEST, UnreadableError, text_of
 from play_launch.launch_files.records import Place
 from play_launch.launch_files.ros_launch.places import xml_lines, yaml_lines
 
@@ -33,22 +31,6 @@ def install(places: Places) -> None:
     _made(places)
 
 
-def _checked_file(path: str, places: Places) -> None:
-    """Refuse what is no regular file, or too large: launch would wait, or read without end."""
-    try:
-        info = Path(path).stat()
-    except OSError:
-        # launch reports the error.
-        return
-    if not stat.S_ISREG(info.st_mode) or info.st_size > LARGEST:
-        try:
-            text_of(path)
-        except UnreadableError as error:
-            wrong = RuntimeError(f"the launch file {path}: {error}")
-            places.annotate(wrong, places.visited)
-            raise wrong from error
-
-
 def _python(places: Places) -> None:
     module = importlib.import_module(
         "launch.launch_description_sources.python_launch_file_utilities"
@@ -56,7 +38,6 @@ def _python(places: Places) -> None:
     load = module.load_python_launch_file_as_module
 
     def load_python_launch_file_as_module(path: str) -> Any:
-        _checked_file(path, places)
         places.file_read(path)
         with places.no_parsing():
             found = load(path)
@@ -99,14 +80,6 @@ def _note_construction(places: Places, kind: Any) -> None:
 def _frontends(places: Places) -> None:
     base = launch.frontend.Parser
     base.load_parser_implementations()
-    load_any = base.load.__func__
-
-    def load(cls: Any, file: Any) -> Any:
-        if isinstance(file, str | Path):
-            _checked_file(str(file), places)
-        return load_any(cls, file)
-
-    base.load = classmethod(load)
     for implementation in base.frontend_parsers.values():
         _note_lines(places, implementation)
     parse_action = base.parse_action

@@ -178,7 +178,7 @@ class Scene:
         found = sorted((path for path in self.temporary.rglob("*") if _can_be_kept(path)), key=str)
         kept: dict[str, None] = {}
         for unit in self.description.units:
-            texts = [str(each.value) for each in unit.parameters]
+            texts = [str(each.value.value) for each in unit.parameters]
             if isinstance(unit, LaunchedProcess):
                 texts += [*unit.command, *unit.arguments, *unit.ros_arguments, *unit.prefix]
                 texts += [unit.cwd, *(value for _, value in unit.environment)]

@@ -26,7 +26,8 @@ from play_launch.launch_files.ros_launch.rcl_parameters import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.launch_files.records import Parameter, ParameterFile, Source
+    from play_launch.config.model import ParameterConfig
+    from play_launch.launch_files.records import ParameterFile, Source
     from play_launch.launch_files.ros_launch.scene import Scene
 
 _ROS_ARGUMENTS: Final = "--ros-args"
@@ -218,7 +219,7 @@ class Composables:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._taken: list[tuple[list[Parameter], list[ParameterFile]]] = []
+        self._taken: list[tuple[list[ParameterConfig], list[ParameterFile]]] = []
         self._to_parameters_list = load_composable_nodes.to_parameters_list
         load_composable_nodes.to_parameters_list = self._take
 
@@ -286,7 +287,7 @@ def _pair(rule: str) -> tuple[str, str]:
     return source, target
 
 
-def _last_of_each(parameters: Iterable[Any]) -> list[Parameter]:
+def _last_of_each(parameters: Iterable[Any]) -> list[ParameterConfig]:
     """Return what a component gets of a request: of a name that stands twice, the last value."""
     found = map(parameter_of, parameters)
     return list({each.name: each for each in found if each is not None}.values())

@@ -239,7 +239,7 @@ def _entries(root: Mapping) -> Any:
 def test_types(text: str, kind: ParameterType) -> None:
     values = typed_values("x", text)
     assert values is not None
-    assert [each.type for each in values] == [kind]
+    assert [each.type for each in values.values()] == [kind]
 
 
 def test_the_command(tmp_path: Path) -> None:

@@ -147,34 +147,9 @@ def generate_launch_description():
     assert prefix.evaluate("a.launch.py", text).units == []
 
 
-def test_much_is_answered(prefix: Prefix) -> None:
-    """More than a pipe holds."""
-    text = python("""
-def generate_launch_description():
-    return LaunchDescription([ExecuteProcess(cmd=["echo", "x" * 1000]) for _ in range(1000)])
-""")
-    assert len(prefix.evaluate("a.launch.py", text).units) == 1000
-
-
 def test_what_calls_itself(prefix: Prefix) -> None:
     error = prefix.error("a.launch.py", "def f():\n    f()\nf()\n")
     assert error == "a.launch.py:2: it is nested too deeply, or calls itself without end"
-
-
-@needs_launch
-@pytest.mark.parametrize("name", ["pipe", "pipe.launch.py", "pipe.launch.xml", "pipe.launch.yaml"])
-def test_an_included_pipe_is_not_opened(prefix: Prefix, name: str) -> None:
-    os.mkfifo(prefix.folder / name)
-    text = f'<launch>\n  <include file="$(dirname)/{name}"/>\n</launch>\n'
-    error = prefix.error("a.launch.xml", text)
-    assert error == f"a.launch.xml:2: the launch file {name}: is a pipe, not a regular file"
-
-
-@needs_launch
-def test_an_included_device_is_not_read(prefix: Prefix) -> None:
-    text = '<launch>\n  <include file="/dev/zero"/>\n</launch>\n'
-    error = prefix.error("a.launch.xml", text)
-    assert error == "a.launch.xml:2: the launch file /dev/zero: is a device, not a regular file"
 
 
 @needs_launch
