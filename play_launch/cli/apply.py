@@ -7,14 +7,14 @@ import os
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from play_launch import ExitCode
-from play_launch.cli import options as cli_options
+from play_launch.cli import options
 from play_launch.cli.connection import connected
-from play_launch.cli.output import is_terminal, printable, report, wants_colour
+from play_launch.cli.output import is_terminal, printable, report, say, wants_colour
 from play_launch.control.protocol import OperationError
 from play_launch.launch_files.configuration.options import Containers
 
@@ -29,7 +29,7 @@ _NOWHERE: Final = Path("/launch file")
 
 ConfigTarget = Annotated[
     list[str],
-    cli_options.argument(
+    options.argument(
         "CONFIG [NAME:=VALUE]...",
         "The YAML file, a launch file of ROS, or a package and a launch file; then arguments.",
         "launch_files",
@@ -40,23 +40,15 @@ ContainerType = Annotated[
 ]
 
 
-class _Request(NamedTuple):
-    target: list[str]
-    container_type: Containers
-    as_json: bool
-
-
 def diff(
     target: ConfigTarget,
     container_type: ContainerType = Containers.SAME,
-    session: cli_options.Session = None,
-    as_json: cli_options.Json = False,
+    session: options.Session = None,
+    as_json: options.Json = False,
 ) -> int:
     """Print what apply would change; exits with 1 if anything differs, with 2 after an error."""
-    options = _Request(target, container_type, as_json)
     with connected(session, failed=ExitCode.USAGE) as client:
-        compared = client.ask("apply", {**_configuration(options), "dry_run": True})
-        _print_plan(compared["plan"], compared["applying"], options)
+        compared = _compared(client, _configuration(target, container_type), as_json=as_json)
     differs = compared["plan"]["steps"] or compared["applying"] is not None
     return ExitCode.NODE_FAILED if differs else ExitCode.OK
 
@@ -65,7 +57,7 @@ def apply(  # noqa: PLR0917 - options, by name
     target: ConfigTarget,
     container_type: ContainerType = Containers.SAME,
     timeout: Annotated[
-        float, cli_options.time("Limit for each step.", "--timeout", default="60s")
+        float, options.time("Limit for each step.", "--timeout", default="60s")
     ] = 60.0,
     rollback_on_failure: Annotated[
         bool,
@@ -76,46 +68,56 @@ def apply(  # noqa: PLR0917 - options, by name
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the changes only, as diff does.")
     ] = False,
-    session: cli_options.Session = None,
-    as_json: cli_options.Json = False,
+    session: options.Session = None,
+    as_json: options.Json = False,
 ) -> int:
     """Change a session to match a configuration; what does not differ continues to run."""
-    options = _Request(target, container_type, as_json)
     with connected(session) as client:
-        request = _configuration(options)
+        request = _configuration(target, container_type)
         if dry_run:
-            compared = client.ask("apply", {**request, "dry_run": True})
-            _print_plan(compared["plan"], compared["applying"], options)
+            _compared(client, request, as_json=as_json)
             return ExitCode.OK
         request |= {"timeout": timeout, "rollback_on_failure": rollback_on_failure}
-        return _apply(client, request, options)
+        return _apply(client, request, as_json=as_json)
 
 
-def _apply(client: ControlClient, request: dict[str, Any], options: _Request) -> int:
+def _compared(client: ControlClient, request: dict[str, Any], *, as_json: bool) -> Any:
+    """Request and print what a configuration would change."""
+    compared = client.ask("apply", {**request, "dry_run": True})
+    if as_json:
+        say(json.dumps({**compared["plan"], "applying": compared["applying"]}))
+    else:
+        _print_plan(compared["plan"], compared["applying"])
+    return compared
+
+
+def _apply(client: ControlClient, request: dict[str, Any], *, as_json: bool) -> int:
     try:
         for message in client.stream("apply", request):
-            if "plan" in message and not options.as_json:
-                _print_plan(message["plan"], None, options)
-            elif "step" in message:
-                _print_outcome(message["step"], options)
-            elif "result" in message:
-                _print_json(message["result"]["applied"], options)
+            if "result" in message:
+                if as_json:
+                    say(json.dumps(message["result"]["applied"]))
                 return ExitCode.OK
+            if "plan" in message and not as_json:
+                _print_plan(message["plan"])
+            elif "step" in message and not as_json:
+                say(printable(outcome_line(message["step"])))
     except OperationError as error:
-        _print_json(error.details.get("applied"), options)
+        if as_json and "applied" in error.details:
+            say(json.dumps(error.details["applied"]))
         raise
     report("the session ended before everything was applied")
     return ExitCode.NODE_FAILED
 
 
-def _configuration(options: _Request) -> dict[str, Any]:
+def _configuration(target: list[str], container_type: Containers) -> dict[str, Any]:
     """Name the configuration for the session, with environment and directory of this process."""
-    named = [each for each in options.target if ":=" not in each]
+    named = [each for each in target if ":=" not in each]
     environment = dict(os.environ)
     if _is_launch_file(named):
-        path, text = _evaluated(options)
+        path, text = _evaluated(target, container_type)
         return {"path": path, "text": text, "environment": environment}
-    path, *arguments = options.target
+    path, *arguments = target
     return {"path": os.path.abspath(path), "arguments": arguments, "environment": environment}  # noqa: PTH100 - without resolving links
 
 
@@ -128,7 +130,7 @@ def _is_launch_file(named: list[str]) -> bool:
     return len(named) != 1
 
 
-def _evaluated(options: _Request) -> tuple[str, str]:
+def _evaluated(target: list[str], container_type: Containers) -> tuple[str, str]:
     """Convert a launch file as `launch` does, but without other files; return name and text."""
     from play_launch.cli.target import (  # noqa: PLC0415 - takes its time
         USUAL_TIMEOUT,
@@ -139,32 +141,17 @@ def _evaluated(options: _Request) -> tuple[str, str]:
     from play_launch.launch_files.configuration.options import Options  # noqa: PLC0415
     from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
 
-    found = target_of(options.target)
-    chosen = Options(containers=options.container_type, folder=_NOWHERE)
+    found = target_of(target)
+    chosen = Options(containers=container_type, folder=_NOWHERE)
     made = written(evaluated(found, USUAL_TIMEOUT), chosen, "")
     report_losses(made)
     return str(_NOWHERE / f"{found.name}.yaml"), made.text
 
 
-def _print_plan(plan: Any, applying: Any, options: _Request) -> None:
-    if options.as_json:
-        sys.stdout.write(f"{json.dumps({**plan, 'applying': applying})}\n")
-        return
+def _print_plan(plan: Any, applying: str | None = None) -> None:
     colour = is_terminal(sys.stdout) and wants_colour(sys.stdout)
     for line in plan_lines(plan, colour=colour, applying=applying):
-        sys.stdout.write(f"{printable(line, colour=colour)}\n")
-    sys.stdout.flush()
-
-
-def _print_outcome(outcome: Any, options: _Request) -> None:
-    if not options.as_json:
-        sys.stdout.write(f"{printable(outcome_line(outcome))}\n")
-        sys.stdout.flush()
-
-
-def _print_json(applied: Any, options: _Request) -> None:
-    if options.as_json and applied is not None:
-        sys.stdout.write(f"{json.dumps(applied)}\n")
+        say(printable(line, colour=colour))
 
 
 # Plans and results, as they come over the socket.
@@ -195,7 +182,8 @@ def plan_lines(
     counts: Counter[str] = Counter()
     come_or_go = {each["name"] for each in plan["steps"] if each["action"] in {"add", "remove"}}
     for step in plan["steps"]:
-        changes = _of_the_rest(step["changes"], come_or_go)
+        # What comes or goes has its start rules with it.
+        changes = [each for each in step["changes"] if _waiting(each["path"]) not in come_or_go]
         if step["changes"] and not changes:
             continue
         sign = _SIGNS.get(step["action"], "~")
@@ -222,11 +210,6 @@ def _step(step: Mapping[str, Any], sign: str, *, colour: bool) -> Iterator[str]:
         if unit:
             path = f"{unit} {'start_delay' if path.endswith('.delay') else 'depends_on'}"
         yield f"    {path}: {value(before)} -> {value(after)}  ({_WHY[change['need']]})"
-
-
-def _of_the_rest(changes: list[dict[str, Any]], come_or_go: set[str]) -> list[dict[str, Any]]:
-    """Leave out what is said already: that what comes or goes has its start rules with it."""
-    return [each for each in changes if _waiting(each["path"]) not in come_or_go]
 
 
 def _waiting(path: str) -> str:
@@ -258,7 +241,6 @@ def _awaited(rule: Any) -> str:
 
 
 def outcome_line(outcome: Mapping[str, Any]) -> str:
-    """Format the result of a step."""
     step = outcome["step"]
     name = step["name"] or step["kind"]
     reason = f": {outcome['reason']}" if outcome["reason"] else ""

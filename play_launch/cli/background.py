@@ -301,7 +301,6 @@ class FailureWatch:
         self._failed.set()
 
     async def run(self) -> None:
-        """Take snapshots until this is cancelled."""
         while True:
             await self._failed.wait()
             self._failed.clear()

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Final
 
 import msgspec
-import typer
 
 from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import fail, printable, say
+from play_launch.cli.output import printable, say
 from play_launch.postmortem import comparison
-from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.comparison import (
     Comparison,
     CrashChange,
@@ -37,27 +35,9 @@ _SAYS: Final = {
 }
 
 
-Section: TypeAlias = "tuple[str, Sequence[str]]"
-"""A title and its lines."""
-
-
-class Words(NamedTuple):
-    """A comparison in words."""
-
-    verdict: str
-    reasons: Sequence[Section]
-    """What is worse, what is better."""
-    others: Sequence[Section]
-    """What only one session has, and what else differs."""
-
-
 def compare(
-    first: Annotated[
-        Path, typer.Argument(metavar="A", help="The earlier session.", show_default=False)
-    ],
-    second: Annotated[
-        Path, typer.Argument(metavar="B", help="The later session.", show_default=False)
-    ],
+    first: Annotated[Path, options.argument("A", "The earlier session.")],
+    second: Annotated[Path, options.argument("B", "The later session.")],
     as_json: options.Json = False,
 ) -> int:
     """Compare two sessions: bring-up, restarts, crashes, memory and CPU of each node.
@@ -66,10 +46,7 @@ def compare(
     restart, or an increase by half of time (and a second), memory (and 64 MB) or CPU (and 10 % of a
     core). Exits with 2 if a file is not a recording, with 5 if one could not be read completely.
     """
-    try:
-        sessions = read_timeline(first), read_timeline(second)
-    except NotARecordingError as error:
-        fail(str(error))
+    sessions = read_timeline(first), read_timeline(second)
     found = comparison.compare(*sessions)
     if as_json:
         values = {
@@ -84,8 +61,10 @@ def compare(
         ]
         say(msgspec.json.encode(values).decode())
     else:
-        for line in _lines(_words(found)):
-            say(printable(line))
+        for title, lines in _sections(found).items():
+            for line in _section(title, lines):
+                say(printable(line))
+        say(f"The second session is {'worse' if found.is_worse else 'not worse'}.")
     damaged = [report_damage(each.session.reader) for each in sessions]
     if any(damaged):
         return ExitCode.DAMAGED
@@ -97,17 +76,15 @@ def _text(path: Path) -> str:
     return str(path).encode("utf-8", "backslashreplace").decode()
 
 
-def _lines(words: Words) -> Iterator[str]:
-    for title, lines in (*words.reasons, *words.others):
-        if lines:
-            yield f"{title}:"
-            yield from (f"  {line}" for line in lines[:_MOST_LINES])
-            if len(lines) > _MOST_LINES:
-                yield f"  and {len(lines) - _MOST_LINES} more; --json gives all"
-    yield words.verdict
+def _section(title: str, lines: Sequence[str]) -> Iterator[str]:
+    if lines:
+        yield f"{title}:"
+        yield from (f"  {line}" for line in lines[:_MOST_LINES])
+        if len(lines) > _MOST_LINES:
+            yield f"  and {len(lines) - _MOST_LINES} more; --json gives all"
 
 
-def _words(found: Comparison) -> Words:
+def _sections(found: Comparison) -> dict[str, Sequence[str]]:
     worse = [_change(each) for each in found.changes if each.is_worse]
     better = [_change(each) for each in found.changes if each.is_better]
     crashes = [f"new crash: {_crash(each, f'{each.after} times')}" for each in found.new_crashes]
@@ -115,18 +92,13 @@ def _words(found: Comparison) -> Words:
     more = [f"more crashes: {_crash(each, _counts(each))}" for each in found.more_crashes]
     fewer = [f"fewer crashes: {_crash(each, _counts(each))}" for each in found.fewer_crashes]
     gone = [f"gone crash: {_crash(each, f'{each.before} times')}" for each in found.gone_crashes]
-    return Words(
-        "The second session is worse." if found.is_worse else "The second session is not worse.",
-        (
-            ("Worse", [*crashes, *more, *failures, *worse]),
-            ("Better", [*gone, *fewer, *better]),
-        ),
-        (
-            ("Only in the first", found.gone_members),
-            ("Only in the second", found.new_members),
-            ("Parameters that differ", [_parameter(each) for each in found.parameters]),
-        ),
-    )
+    return {
+        "Worse": [*crashes, *more, *failures, *worse],
+        "Better": [*gone, *fewer, *better],
+        "Only in the first": found.gone_members,
+        "Only in the second": found.new_members,
+        "Parameters that differ": [_parameter(each) for each in found.parameters],
+    }
 
 
 def _change(change: Deviation) -> str:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
-import typer
 
 from play_launch import ExitCode
 from play_launch.cli import options
@@ -23,12 +22,7 @@ if TYPE_CHECKING:
 
 
 def crashes(
-    folder: Annotated[
-        Path,
-        typer.Argument(
-            metavar="DIR", help="A log folder with sessions, or one file.", show_default=False
-        ),
-    ],
+    folder: Annotated[Path, options.argument("DIR", "A log folder with sessions, or one file.")],
     as_json: options.Json = False,
 ) -> int:
     """Group the crashes of many sessions: crashes with equal signatures are one group.
@@ -79,16 +73,14 @@ def recordings(folder: Path, unread: list[str]) -> list[Path]:
     if folder.is_file():
         return [folder]
     found = set()
-    walk = os.walk(folder, onerror=lambda error: unread.append(_said(error)))
+    walk = os.walk(
+        folder, onerror=lambda error: unread.append(f"{error.filename}: {error.strerror}")
+    )
     for path in (Path(place, name) for place, _, names in walk for name in names):
         is_recording = path.name.removesuffix(ACTIVE_SUFFIX).endswith(".mcap")
         if is_recording and not path.is_symlink():
             found.add(path.parent if part_file(path) else path)
     return sorted(found)
-
-
-def _said(error: OSError) -> str:
-    return f"{error.filename}: {error.strerror}"
 
 
 def _lines(group: CrashGroup) -> Iterator[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,9 +11,10 @@ import typer
 from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.output import fail, say, warn
+from play_launch.graph_daemon.contract import WARM, daemon_address
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
     from play_launch.graph_daemon.contract import DaemonAddress
     from play_launch.graph_daemon.port import PortOwner
@@ -49,12 +49,11 @@ def start(
     Returns when the daemon knows the graph. A running daemon of ros2cli is replaced. A running
     daemon of play-launch is kept, with a warning where its settings are not yours.
     """
-    address = _address()
+    address = daemon_address()
     _require_ros()
     from play_launch.graph_daemon.start_stop import start_daemon  # noqa: PLC0415
 
-    with _system_errors():
-        started = start_daemon(address, idle_timeout=idle_timeout, restart=restart, notify=warn)
+    started = start_daemon(address, idle_timeout=idle_timeout, restart=restart, notify=warn)
     if started.process is not None:
         started.process.returncode = 0  # no warning that it still runs
     if started.started:
@@ -74,11 +73,10 @@ def stop() -> None:
 
     It may be ros2cli's own one.
     """
-    address = _address()
+    address = daemon_address()
     from play_launch.graph_daemon.port import OwnerKind, stop_daemon  # noqa: PLC0415
 
-    with _system_errors():
-        owner = stop_daemon(address)
+    owner = stop_daemon(address)
     if owner.kind is OwnerKind.FREE:
         say(f"no daemon runs for domain {address.domain}")
     else:
@@ -96,7 +94,7 @@ def status(as_json: options.Json = False) -> None:
 
     from play_launch.graph_daemon.port import OwnerKind, find_owner, settings_warnings  # noqa: PLC0415
 
-    address = _address()
+    address = daemon_address()
     owner = find_owner(address)
     warnings = settings_warnings(owner, os.environ)
     if as_json:
@@ -126,18 +124,16 @@ def run(idle_timeout: IdleTimeout = 0.0) -> None:
 
     For services and containers.
     """
-    address = _address()
+    address = daemon_address()
     _require_ros()
     import asyncio  # noqa: PLC0415
     import logging  # noqa: PLC0415
 
-    from play_launch.graph_daemon.contract import WARM  # noqa: PLC0415
     from play_launch.graph_daemon.daemon import Daemon  # noqa: PLC0415
     from play_launch.graph_daemon.port import acquire  # noqa: PLC0415
 
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
-    with _system_errors():
-        port = acquire(address, notify=warn)
+    port = acquire(address, notify=warn)
     if port.listener is None:
         fail(
             f"the daemon of domain {address.domain} is running already (pid {port.pid})",
@@ -227,7 +223,6 @@ for _verb in (start, stop, status, run, patch, unpatch):
 
 
 def describe(address: DaemonAddress, owner: PortOwner) -> list[str]:
-    """Describe in lines which process serves a domain."""
     from play_launch.graph_daemon.port import OwnerKind  # noqa: PLC0415
 
     domain = f"domain {address.domain}"
@@ -263,23 +258,6 @@ def _facts(status: Mapping[str, Any]) -> list[str]:
         f"  requests    {number.get('requests', 0)}, {cached} of them from the cache",
         f"  clients     {number.get('connections', 0)}",
     ]
-
-
-def _address() -> DaemonAddress:
-    from play_launch.graph_daemon.contract import DomainError, daemon_address  # noqa: PLC0415
-
-    try:
-        return daemon_address()
-    except DomainError as error:
-        fail(f"{error} by the environment; set another one")
-
-
-@contextlib.contextmanager
-def _system_errors() -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        fail(str(error), ExitCode.NODE_FAILED)
 
 
 def _require_ros() -> None:

@@ -67,7 +67,6 @@ def examine() -> list[CheckResult]:
 
 
 def lines(results: Sequence[CheckResult], *, colour: bool) -> Iterator[str]:
-    """Yield a table, and below it one line of result."""
     subjects = max(len(each.subject) for each in results)
     indent = 6 + subjects + 2
     room = max(get_terminal_size((120, 24)).columns - indent, 20)

@@ -16,7 +16,6 @@ from play_launch.cli.output import is_passed_on, say
 from play_launch.cli.target import (
     USUAL_TIMEOUT,
     ContainerType,
-    LaunchTarget,
     argument_values,
     evaluated,
     say_arguments,
@@ -63,13 +62,13 @@ def dump(  # noqa: PLR0917 - options, by name
             say_arguments(description.arguments)
         return ExitCode.OK
     chosen = Options(containers=container_type, show_all=show_all, inline=inline)
-    made = written(description, _placed(chosen, output), _heading(found))
+    made = written(
+        description,
+        _placed(chosen, output),
+        f"From {shlex.join(found.words)}, by play-launch dump.",
+    )
     more = {"arguments": arguments, "files": description.files}
     return write_config(made, output, strict=strict, as_json=as_json, more=more)
-
-
-def _heading(target: LaunchTarget) -> str:
-    return f"From {shlex.join(target.words)}, by play-launch dump."
 
 
 def _placed(options: Options, output: Path | None) -> Options:

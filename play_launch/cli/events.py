@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,8 +16,6 @@ from play_launch.control.protocol import Code, OperationError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-LEVELS: Final = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 
 
 def events(  # noqa: PLR0917 - options, by name
@@ -55,7 +53,7 @@ def logs(  # noqa: PLR0917 - options, by name
         ),
     ] = None,
     level: Annotated[
-        Literal["debug", "info", "warn", "error", "fatal"] | None,
+        options.Level | None,
         typer.Option(help="Only lines of this level and above.", show_default=False),
     ] = None,
     session: options.Session = None,
@@ -65,7 +63,12 @@ def logs(  # noqa: PLR0917 - options, by name
     kinds = ["output"] if names else ["output", "log"]
     arguments = {"names": names or [], "kinds": kinds, "follow": follow}
     return _print_stream(
-        arguments, session, "lines", since=since, least=LEVELS.get(level or "", 0), as_json=as_json
+        arguments,
+        session,
+        "lines",
+        since=since,
+        least=options.LEVELS.get(level or "", 0),
+        as_json=as_json,
     )
 
 

@@ -10,8 +10,7 @@ import msgspec
 from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import counted, duration, fail, printable, say
-from play_launch.postmortem.bag_reader import NotARecordingError
+from play_launch.cli.output import counted, duration, printable, say
 from play_launch.postmortem.findings import findings, is_wrong
 from play_launch.postmortem.frames import plain_function
 from play_launch.postmortem.known_causes import BY_NAME, known_by
@@ -52,10 +51,7 @@ def explain(file: options.Recording, as_json: options.Json = False) -> int:
     recording, and with 5 if the recording could not be read completely. Source lines need addr2line
     (binutils) and the libraries of the session on this machine.
     """
-    try:
-        timeline = read_timeline(file)
-    except NotARecordingError as error:
-        fail(str(error))
+    timeline = read_timeline(file)
     found = located(findings(timeline))
     wrong = is_wrong(found)
     session, reader = timeline.session, timeline.session.reader
@@ -88,7 +84,6 @@ def explain(file: options.Recording, as_json: options.Json = False) -> int:
 
 
 def paragraphs(found: Sequence[Finding], timeline: Timeline) -> Iterator[str]:
-    """Give the lines of the whole report."""
     started = timeline.session.started_ns
     for number, finding in enumerate(found):
         lines = list(details(finding))

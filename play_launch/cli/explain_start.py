@@ -97,7 +97,7 @@ def as_text(
     import yaml  # noqa: PLC0415 - not for JSON
 
     text = yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True, width=float("inf"))
-    commands = [f"{_shell(each)}\n" for each in started]
+    commands = ["\n".join([*_lines(each), ""]) for each in started]
     own = ["# and for play-launch itself", *(f"#   {_remark(each)[2:]}" for each in besides)]
     return "\n".join([text, *commands, *own])
 
@@ -157,10 +157,6 @@ def _here() -> str:
     with suppress(FileNotFoundError):
         return str(Path.cwd())
     return ""
-
-
-def _shell(process: Mapping[str, Any]) -> str:
-    return "\n".join(_lines(process))
 
 
 def _lines(process: Mapping[str, Any]) -> Iterator[str]:

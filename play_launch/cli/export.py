@@ -13,8 +13,7 @@ import typer
 from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import OutputError, fail, is_passed_on, say, whole_file
-from play_launch.postmortem.bag_reader import NotARecordingError
+from play_launch.cli.output import fail, is_passed_on, say, whole_file
 from play_launch.postmortem.export.tables import WRITERS, rows
 from play_launch.postmortem.export.trace import trace_events, write_trace
 from play_launch.postmortem.session import PastSession
@@ -37,12 +36,8 @@ def export(
     ] = "perfetto",
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="PATH",
-            help="The file of a trace, the folder of tables. Default: beside the recording.",
-            show_default=False,
+        options.output(
+            "The file of a trace, the folder of tables. Default: beside the recording.", "PATH"
         ),
     ] = None,
 ) -> int:
@@ -61,10 +56,6 @@ def export(
         written = (
             _write_trace(session, target) if form == TRACE else _write_tables(session, form, target)
         )
-    except NotARecordingError as error:
-        fail(str(error))
-    except OutputError as error:
-        fail(str(error), ExitCode.NODE_FAILED)
     except OSError as error:  # the folder of the tables
         fail(f"{error.filename or target}: {error.strerror or error}", ExitCode.NODE_FAILED)
     say(f"{target}: {written}", beside=target)
@@ -72,7 +63,6 @@ def export(
 
 
 def _write_trace(session: PastSession, target: Path) -> str:
-    """Write it, and say what to do with it."""
     events = trace_events(session)
     first = next(events, None)  # what is no recording leaves no file behind
     with whole_file(target) as half, half.open("w", encoding="utf-8") as file:
@@ -81,7 +71,6 @@ def _write_trace(session: PastSession, target: Path) -> str:
 
 
 def _write_tables(session: PastSession, form: str, folder: Path) -> str:
-    """Write them, and name them."""
     tables: dict[str, TableWriter] = {}
     with ExitStack() as files:
         for table, values in rows(session):

@@ -16,7 +16,7 @@ import typer
 from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.output import fail, note, printable, redirect_to_devnull, warn
-from play_launch.graph_daemon.contract import DomainError, daemon_address
+from play_launch.graph_daemon.contract import daemon_address
 from play_launch.graph_daemon.graph_client import (
     DEFAULT_TIMEOUT,
     GraphClient,
@@ -169,10 +169,7 @@ _add_list(service, "service")
 
 def _asked(show: Callable[[GraphClient], None], call_timeout: float, *, no_start: bool) -> None:
     """Query the daemon, which is started if none runs, and print."""
-    try:
-        address = daemon_address()
-    except DomainError as error:
-        fail(str(error))
+    address = daemon_address()
     client = GraphClient(address, call_timeout)
     try:
         try:
@@ -190,16 +187,11 @@ def _asked(show: Callable[[GraphClient], None], call_timeout: float, *, no_start
 
 
 def _start(address: DaemonAddress) -> None:
-    """Start our daemon; returns when it knows the graph."""
     # Takes longer to import than all the rest, and is needed once.
     from play_launch.graph_daemon.start_stop import start_daemon  # noqa: PLC0415
 
     note(f"starting the graph daemon of ROS domain {address.domain}")
-    try:
-        messages = start_daemon(address, notify=warn).messages
-    except OSError as error:
-        fail(str(error), ExitCode.NODE_FAILED)
-    for message in messages:
+    for message in start_daemon(address, notify=warn).messages:
         warn(message)
 
 

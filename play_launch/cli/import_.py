@@ -8,17 +8,11 @@ from typing import Annotated
 import typer
 
 from play_launch.cli import options
-from play_launch.cli.output import fail
 from play_launch.cli.target import write_config
 
 
 def import_(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FILE", help="A record.json or a system_model.yaml.", show_default=False
-        ),
-    ],
+    file: Annotated[Path, options.argument("FILE", "A record.json or a system_model.yaml.")],
     output: options.Output = None,
     stock: Annotated[
         bool,
@@ -34,8 +28,6 @@ def import_(
     """
     from play_launch.launch_files.importing import read  # noqa: PLC0415 - not for other verbs
 
-    try:
-        imported = read.import_system(file, stock=stock)
-    except read.NotImportableError as error:
-        fail(str(error))
-    return write_config(imported, output, strict=strict, as_json=as_json)
+    return write_config(
+        read.import_system(file, stock=stock), output, strict=strict, as_json=as_json
+    )

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from play_launch import ExitCode
 from play_launch.cli import options
-from play_launch.cli.output import counted, fail, note, printable, say, warn
-from play_launch.postmortem.bag_reader import NotARecordingError
+from play_launch.cli.output import counted, note, printable, say, warn
 from play_launch.postmortem.timeline import read_timeline
 from play_launch.recording.bag import PART_METADATA
 from play_launch.recording.recorder import DROPS_METADATA
@@ -26,10 +25,7 @@ def info(file: options.Recording, as_json: options.Json = False) -> int:
     Damaged and unfinished recordings (.active) are read as far as possible; exits with 5 then, with
     2 if the file is not a recording.
     """
-    try:
-        timeline = read_timeline(file, only_failures=True)
-    except NotARecordingError as error:
-        fail(str(error))
+    timeline = read_timeline(file, only_failures=True)
     found = session_object(timeline)
     say(json.dumps(found) if as_json else "\n".join(_lines(found)))
     return ExitCode.DAMAGED if report_damage(timeline.session.reader) else 0

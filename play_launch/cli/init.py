@@ -87,7 +87,6 @@ def schema(
 
 
 def schema_text() -> str:
-    """Return the schema as the installed file has it."""
     from play_launch.config.schema_export import json_schema  # noqa: PLC0415
 
     return json.dumps(json_schema(), indent=1, ensure_ascii=False) + "\n"

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final
 
 import msgspec
 import typer
@@ -20,17 +19,17 @@ from play_launch.cli.show.display import encode
 from play_launch.cli.show.lines import DisplayLine, line_of
 from play_launch.config.values import parse_duration
 from play_launch.control.event_words import event_object, names_of
-from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
+from play_launch.postmortem.bag_reader import BagReader
 from play_launch.postmortem.events import UnreadableEventError
 from play_launch.postmortem.parameters import TOPICS as PARAMETER_TOPICS
 from play_launch.postmortem.parameters import Parameters, RecordedParameter, shortened
 from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
-from play_launch.recording.console_format import DEBUG, ERROR, FATAL, INFO, WARN
+from play_launch.recording.console_format import DEBUG, ERROR
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from play_launch.postmortem.bag_reader import Message
@@ -38,20 +37,8 @@ if TYPE_CHECKING:
 
 _AROUND: Final = 5.0
 """Seconds on either side of a moment."""
-Level = Literal["debug", "info", "warn", "error", "fatal"]
-_LEVELS: Final = {"debug": DEBUG, "info": INFO, "warn": WARN, "error": ERROR, "fatal": FATAL}
 _TOPICS: Final = frozenset(topic.name for topic in topics.ALL_TOPICS)
 """Samples are no events to be read one by one."""
-
-
-class Filter(NamedTuple):
-    """What is shown: patterns of names (none: all), the least level, times as they are typed."""
-
-    names: tuple[str, ...]
-    level: str
-    since: str | None
-    until: str | None
-    around: str | None
 
 
 def inspect(  # noqa: PLR0917 - options, by name
@@ -65,7 +52,7 @@ def inspect(  # noqa: PLR0917 - options, by name
         ),
     ] = None,
     level: Annotated[
-        Level, typer.Option(help="Only events and lines of this level and above.")
+        options.Level, typer.Option(help="Only events and lines of this level and above.")
     ] = "info",
     since: Annotated[
         str | None,
@@ -94,27 +81,24 @@ def inspect(  # noqa: PLR0917 - options, by name
     Damaged and unfinished recordings (.active) are read as far as possible; exits with 5 then, with
     2 if the file is not a recording.
     """
-    chosen = Filter(tuple(node or ()), level, since, until, around)
-    least = _LEVELS[level]
-    if chosen.around is not None and (chosen.since, chosen.until) != (None, None):
+    least = options.LEVELS[level]
+    if around is not None and (since, until) != (None, None):
         fail("--around cannot be combined with --since and --until")
     session, parameters = PastSession(file), Parameters()
-    window: Window | None = None
+    window: tuple[float, float] | None = None
     try:
         for message in session.reader.messages(_TOPICS | PARAMETER_TOPICS):
-            window = window or _window(chosen, session)
+            window = window or _window(session, since, until, around)
             happened = _happened(message, session, parameters)
             if (
                 happened is not None
-                and message.log_time in window
-                and _concerns(happened, chosen.names)
+                and window[0] <= message.log_time <= window[1]
+                and _concerns(happened, node or ())
             ):
                 seconds = (message.log_time - session.started_ns) / 1e9
                 for line in _shown(happened, message.log_time, seconds, least, as_json=as_json):
                     sys.stdout.write(f"{line}\n")
         sys.stdout.flush()
-    except NotARecordingError as error:
-        fail(str(error))
     except BrokenPipeError:
         # The reader has seen enough (`| head`); the rest of the file need not be read.
         redirect_to_devnull(sys.stdout)
@@ -122,32 +106,23 @@ def inspect(  # noqa: PLR0917 - options, by name
     return ExitCode.DAMAGED if report_damage(session.reader) else 0
 
 
-@dataclass(frozen=True, slots=True)
-class Window:
-    """A time from and up to which events count, both included; nanoseconds since the epoch."""
-
-    begin: float
-    end: float
-
-    def __contains__(self, stamp_ns: int) -> bool:
-        return self.begin <= stamp_ns <= self.end
-
-
-def _window(chosen: Filter, session: PastSession) -> Window:
+def _window(
+    session: PastSession, since: str | None, until: str | None, around: str | None
+) -> tuple[float, float]:
     started_ns = session.started_ns
-    if chosen.around is not None:
+    if around is not None:
         earliest = started_ns - _AROUND * 1e9
-        middle = _not_before(earliest, _moments("--around", chosen.around, started_ns))
-        return Window(middle - _AROUND * 1e9, middle + _AROUND * 1e9)
+        middle = _not_before(earliest, _moments("--around", around, started_ns))
+        return middle - _AROUND * 1e9, middle + _AROUND * 1e9
     begin, end = float("-inf"), float("inf")
-    if chosen.since is not None:
-        moments = _moments("--since", chosen.since, started_ns)
+    if since is not None:
+        moments = _moments("--since", since, started_ns)
         begin = _not_before(started_ns, moments)
         if begin > moments[0] and begin == moments[-1] and begin > _end(session.reader.path):
             begin = moments[0]  # the recording was over the next time that the clock was there
-    if chosen.until is not None:
-        end = _not_before(started_ns, _moments("--until", chosen.until, started_ns))
-    return Window(begin, end)
+    if until is not None:
+        end = _not_before(started_ns, _moments("--until", until, started_ns))
+    return begin, end
 
 
 def _moments(option: str, text: str, started_ns: int) -> list[float]:
@@ -182,7 +157,7 @@ def _happened(
         return None
 
 
-def _concerns(happened: Happened | RecordedParameter, patterns: tuple[str, ...]) -> bool:
+def _concerns(happened: Happened | RecordedParameter, patterns: Sequence[str]) -> bool:
     if not patterns:
         return True
     names = [happened.node] if isinstance(happened, RecordedParameter) else names_of(happened.event)

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from play_launch import ExitCode
+from play_launch.cli import options
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import say
 from play_launch.postmortem.export.layouts import (
@@ -26,11 +27,7 @@ def layout(
     tool: Annotated[Tool, typer.Argument(metavar="TOOL", show_default=False)],
     file: Annotated[
         Path | None,
-        typer.Argument(
-            metavar="[FILE]",
-            help="A session.mcap: the layout then shows its nodes.",
-            show_default=False,
-        ),
+        options.argument("[FILE]", "A session.mcap: the layout then shows its nodes."),
     ] = None,
 ) -> int:
     """Print a layout with which Foxglove or PlotJuggler shows a recording.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Final, TypeAlias
+from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import typer
 
@@ -23,7 +23,6 @@ def duration(text: Any) -> float:
 
 
 def duration_or_zero(text: Any) -> float:
-    """Read a duration, 0 s included."""
     return _parsed("parse_duration", text)
 
 
@@ -37,7 +36,6 @@ def _parsed(parse: str, text: Any) -> float:
 
 
 def time(about: str, *names: str, default: str = "") -> Any:
-    """Declare an option that is a duration."""
     return typer.Option(
         *names, parser=duration, metavar="TIME", help=about, show_default=default or False
     )
@@ -61,10 +59,13 @@ def completed_by(function: str) -> Any:
     return complete if function else None
 
 
-def _file(about: str) -> Any:
-    return typer.Option("--output", "-o", metavar="FILE", help=about, show_default=False)
+def output(about: str, metavar: str = "FILE") -> Any:
+    return typer.Option("--output", "-o", metavar=metavar, help=about, show_default=False)
 
 
+Level: TypeAlias = Literal["debug", "info", "warn", "error", "fatal"]
+LEVELS: Final = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
+"""As in ``rcl_interfaces/Log``."""
 _NAMES: Final = "full names, patterns such as '/sensing/*', or the last part of a name."
 
 Json: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON.")]
@@ -110,9 +111,9 @@ Duration: TypeAlias = Annotated[
 Quiet: TypeAlias = Annotated[
     bool, typer.Option("--quiet", "-q", help="Do not show output of nodes; it is recorded.")
 ]
-Output: TypeAlias = Annotated[Path | None, _file("The file to write. Default: stdout.")]
+Output: TypeAlias = Annotated[Path | None, output("The file to write. Default: stdout.")]
 OutputBeside: TypeAlias = Annotated[
-    Path | None, _file("The file to write. Default: beside the recording.")
+    Path | None, output("The file to write. Default: beside the recording.")
 ]
 Strict: TypeAlias = Annotated[
     bool,

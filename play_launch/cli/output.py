@@ -160,23 +160,19 @@ def say(text: str, *, beside: Path | None = None) -> None:
 
 
 def fail(message: str, code: int = 2) -> NoReturn:
-    """Report an error on stderr and exit with ``code``."""
     report(message)
     sys.exit(code)
 
 
 def report(message: str) -> None:
-    """Write ``error: message`` to stderr; several lines keep their form."""
     _write_labelled("error:", "\x1b[1;31m", message)
 
 
 def warn(message: str) -> None:
-    """Write ``warning: message`` to stderr."""
     _write_labelled("warning:", YELLOW, message)
 
 
 def note(text: str) -> None:
-    """Write a line to stderr."""
     # Names of files and their content may hold any character.
     print(printable(text), file=sys.stderr, flush=True)  # noqa: T201 - what it is for
 

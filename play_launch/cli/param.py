@@ -109,7 +109,6 @@ def dump(
 
 
 def _nodes(client: ControlClient, wanted: list[str], *, is_one: bool = False) -> list[str]:
-    """Return the full names of nodes that run."""
     rows = client.ask("ps", {"names": wanted})
     is_node = {"component": "loaded", "process": "running"}
     nodes = [row["name"] for row in rows if is_node.get(row["kind"]) == row["state"]]

@@ -34,16 +34,15 @@ def load_recorded(path: Path, arguments: Mapping[str, str] | None = None) -> Rep
     recorded = recorded_config(path, arguments)
     found = list(differences(recorded, os.environ, versions()))
     for text in found[:_MOST]:
-        _warn(text)
+        warn(text)
     if len(found) > _MOST:
-        _warn(f"{len(found) - _MOST} more differences")
+        warn(f"{len(found) - _MOST} more differences")
     return recorded.config
 
 
 def differences(
     recorded: RecordedConfig, environ: Mapping[str, str], here: Mapping[str, str]
 ) -> Iterator[str]:
-    """Say what differs from when the session was recorded: versions, packages, variables."""
     then = _versions(recorded.about)
     for name in _VERSIONS:
         if then.get(name, "") != here.get(name, ""):
@@ -68,13 +67,8 @@ def _differing(path: str, then: Any, now: Any) -> Iterator[str]:
     elif isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
         for number, (one, other) in enumerate(zip(then, now, strict=True)):
             yield from _differing(f"{path}[{number}]", one, other)
-    elif then != _plain(now):
+    elif then != json.loads(json.dumps(now)):  # as JSON gives it back
         yield f"{path} was {json.dumps(then)[:80]}, here it is {json.dumps(now)[:80]}"
-
-
-def _plain(value: Any) -> Any:
-    """Give a value as JSON gives it back."""
-    return json.loads(json.dumps(value))
 
 
 def _versions(about: Mapping[str, str]) -> dict[str, str]:
@@ -100,7 +94,3 @@ def _is_installed(package: str, environ: Mapping[str, str]) -> bool:
 
 def _quoted(value: str | None) -> str:
     return "not set" if value is None else f"'{value}'"
-
-
-def _warn(text: str) -> None:
-    warn(text)

@@ -6,9 +6,8 @@ import shutil
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from play_launch import ExitCode
+from play_launch.cli import options
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import is_passed_on, say, warn, whole_file
 from play_launch.postmortem.recover import RecoverError, default_output
@@ -18,20 +17,14 @@ from play_launch.postmortem.recover import recover as recover_file
 def recover(
     file: Annotated[
         Path,
-        typer.Argument(
-            metavar="FILE",
-            help="A session.mcap.active, a damaged .mcap, or the folder of a session.",
-            show_default=False,
+        options.argument(
+            "FILE", "A session.mcap.active, a damaged .mcap, or the folder of a session."
         ),
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="The file to write. Default: the name without .active, or x.recovered.mcap.",
-            show_default=False,
+        options.output(
+            "The file to write. Default: the name without .active, or x.recovered.mcap."
         ),
     ] = None,
 ) -> int:
@@ -54,12 +47,9 @@ def recover(
     if not recovered.reader.damages:
         return 0
     report_damage(recovered.reader)
-    say(f"{file}: `mcap recover` may read more of it{_where_to_get_it()}", beside=recovered.path)
+    source = "" if shutil.which("mcap") else "; it is part of https://mcap.dev/guides/cli"
+    say(f"{file}: `mcap recover` may read more of it{source}", beside=recovered.path)
     return ExitCode.DAMAGED
-
-
-def _where_to_get_it() -> str:
-    return "" if shutil.which("mcap") else "; it is part of https://mcap.dev/guides/cli"
 
 
 def _complete_folder(folder: Path, output: Path | None) -> int:

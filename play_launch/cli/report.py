@@ -8,8 +8,7 @@ from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.explain import details, headline
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import OutputError, fail, say, size, write_file
-from play_launch.postmortem.bag_reader import NotARecordingError
+from play_launch.cli.output import say, size, write_file
 from play_launch.postmortem.findings import findings
 from play_launch.postmortem.report.facts import Point, contents
 from play_launch.postmortem.report.gather import Gathered
@@ -34,24 +33,16 @@ def report(file: options.Recording, output: options.OutputBeside = None) -> int:
     output = output or beside(file, ".html")
     timeline = Timeline(file)
     gathered = Gathered(timeline)
-    try:
-        for message, event in timeline.messages():
-            gathered.take(message, event)
-        gathered.finish()
-        started_ns = timeline.session.started_ns
-        points = tuple(_points(findings(timeline), started_ns))
-        every = contents(gathered, points)
-        count = write_file(output, render(every))
-    except NotARecordingError as error:
-        fail(str(error))
-    except OutputError as error:
-        fail(str(error), ExitCode.NODE_FAILED)
+    for message, event in timeline.messages():
+        gathered.take(message, event)
+    gathered.finish()
+    points = tuple(_points(findings(timeline), timeline.session.started_ns))
+    count = write_file(output, render(contents(gathered, points)))
     say(f"{output}: {size(count)}", beside=output)
     return ExitCode.DAMAGED if report_damage(timeline.session.reader) else 0
 
 
 def _points(found: Sequence[Finding], started_ns: int) -> Iterator[Point]:
-    """Give what ``explain`` says."""
     for finding in located(found):
         yield Point(
             headline(finding, started_ns),

@@ -6,7 +6,7 @@ import contextlib
 import re
 import struct
 from difflib import SequenceMatcher
-from itertools import islice, pairwise, zip_longest
+from itertools import pairwise, zip_longest
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 import msgspec
@@ -32,7 +32,6 @@ from play_launch.supervisor.world import World
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from play_launch.recording.decisions import Decision
     from play_launch.supervisor.events import RunEvent
@@ -60,15 +59,6 @@ _OUTCOME: Final = ("cause", "sequel", "delay_ns", "culprit")
 """Fields that the recordings of earlier versions do not have."""
 
 
-class Difference(NamedTuple):
-    """An event that does not follow as it was recorded; None: it does not at all."""
-
-    seconds: float
-    decision: Decision
-    recorded: Fields | None
-    new: Fields | None
-
-
 def rerun(
     file: options.Recording,
     until: Annotated[
@@ -89,18 +79,16 @@ def rerun(
     session = PastSession(file)
     recorded = _recorded(session)
     report_damage(session.reader)
-    repeated = Rerun(recorded, until)
-    differences = list(islice(repeated.differences(), None if diff else 1))
-    flaw = "" if repeated.is_cut else recorded.flaw
-    found = _object(file, repeated, differences, flaw)
+    path = str(file).encode("utf-8", "backslashreplace").decode()
+    found = {"path": path, **repeated(recorded, until, most=None if diff else 1)}
     if as_json:
         say(msgspec.json.encode(found).decode())
     else:
         for line in _lines(found):
             say(printable(line))
-    if differences:
+    if found["differences"]:
         return ExitCode.NODE_FAILED
-    return ExitCode.DAMAGED if flaw else ExitCode.OK
+    return ExitCode.DAMAGED if found["incomplete"] else ExitCode.OK
 
 
 def _recorded(session: PastSession) -> RecordedInputs:
@@ -137,41 +125,34 @@ def _recorded(session: PastSession) -> RecordedInputs:
     return RecordedInputs(decisions, states, flaw, began_ns)
 
 
-class Rerun:
-    """One pass through the inputs of a recording."""
-
-    def __init__(self, recorded: RecordedInputs, until: float | None) -> None:
-        self._recorded = recorded
-        self._until = until
-        self.inputs = 0
-        self.events = 0
-        """That followed, in the new world."""
-        self.seconds = 0.0
-        """After the start of the session: how far it has come."""
-        self.is_cut = False
-        """Whether it ended before what was recorded did."""
-
-    def differences(self) -> Iterator[Difference]:
-        """Decide once more."""
-        decisions, states, _, began_ns = self._recorded
-        origin = decisions[0].said if decisions else None
-        if not isinstance(origin, Origin):
-            return
+def repeated(recorded: RecordedInputs, until: float | None, most: int | None) -> dict[str, Any]:
+    """Decide once more, up to a time and to so many differences; return what `--json` prints."""
+    decisions, states, flaw, began_ns = recorded
+    inputs, events, seconds = 0, 0, 0.0
+    differences: list[Fields] = []
+    origin = decisions[0].said if decisions else None
+    if isinstance(origin, Origin):
         world = World(origin.config, starts=origin.starts, limits=origin.limits)
         for decision, following in zip_longest(decisions, decisions[1:]):
-            seconds = began_ns / 1e9 + decision.now - decisions[0].now
-            if self._until is not None and seconds > self._until:
-                self.is_cut = True
-                return
-            if following is None:
-                return  # what followed it may be incomplete
-            self.inputs += 1
-            self.seconds = seconds
+            at = began_ns / 1e9 + decision.now - decisions[0].now
+            if until is not None and at > until:
+                flaw = ""
+                break
+            if following is None or (most is not None and len(differences) >= most):
+                break  # what followed the last one may be incomplete
+            inputs, seconds = inputs + 1, at
             new = _events(world, decision)
-            self.events += len(new)
-            old = states[decision.events : following.events]
-            for was, now in _unequal(old, new):
-                yield Difference(seconds, decision, was, now)
+            events += len(new)
+            unequal = _unequal(states[decision.events : following.events], new)
+            differences += [_difference(at, decision, was, now) for was, now in unequal]
+    return {
+        "inputs": inputs,
+        "states": events,
+        "until_s": seconds,
+        "same": not differences and not flaw,
+        "incomplete": flaw or None,
+        "differences": differences[:most],
+    }
 
 
 def _events(world: World, decision: Decision) -> list[Fields]:
@@ -220,7 +201,6 @@ def _key(fields: Fields) -> tuple[Any, ...]:
 
 
 def _fields(old: Fields, new: Fields) -> list[str]:
-    """Name the fields that differ."""
     passed_over = {"stamp"} if old["cause"] else {"stamp", *_OUTCOME}
     return [name for name in old if name not in passed_over and not _is_like(old[name], new[name])]
 
@@ -237,32 +217,23 @@ def _is_like(old: Any, new: Any) -> bool:
     return re.fullmatch(pattern, old, re.DOTALL) is not None
 
 
-def _object(file: Path, rerun: Rerun, differences: list[Difference], flaw: str) -> dict[str, Any]:
+def _difference(
+    seconds: float, decision: Decision, recorded: Fields | None, new: Fields | None
+) -> Fields:
+    """Describe an event that does not follow as it was recorded; None: it does not at all."""
+    said, fields = decision.said, recorded or new or {}
     return {
-        "path": str(file).encode("utf-8", "backslashreplace").decode(),
-        "inputs": rerun.inputs,
-        "states": rerun.events,
-        "until_s": rerun.seconds,
-        "same": not differences and not flaw,
-        "incomplete": flaw or None,
-        "differences": [*map(_difference, differences)],
-    }
-
-
-def _difference(found: Difference) -> Fields:
-    said, fields = found.decision.said, found.recorded or found.new or {}
-    return {
-        "seconds": found.seconds,
+        "seconds": seconds,
         "unit": str(fields["key"]),
         "kind": SubjectKind(fields["kind"]).name.lower(),
         "input": {
-            "number": found.decision.number,
+            "number": decision.number,
             "type": type(said).__name__,
             "unit": str(getattr(said, "unit", getattr(said, "node", ""))),
         },
-        "recorded": found.recorded,
-        "new": found.new,
-        "fields": _fields(found.recorded, found.new) if found.recorded and found.new else [],
+        "recorded": recorded,
+        "new": new,
+        "fields": _fields(recorded, new) if recorded and new else [],
     }
 
 

@@ -63,7 +63,6 @@ class GroupTotal(Struct, frozen=True, kw_only=True):
 
     @property
     def is_throttled(self) -> bool:
-        """Whether a limit had an effect."""
         return bool(self.throttled_periods or self.oom_kills or self.pids_max_hits)
 
 
@@ -118,7 +117,6 @@ class RunSink:
         self.adopt(config)
 
     def adopt(self, config: ReplayConfig) -> None:
-        """Take another configuration, in the loop's thread."""
         self.hide_secrets(config)
         output = {each.full_name: each.output for each in config.containers}
         output |= {each.full_name: each.output for each in config.nodes}
@@ -132,7 +130,6 @@ class RunSink:
         self._recorder.secrets = in_messages(self._secrets)
 
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
-        """Take one event, in the loop's thread."""
         self.decisions.note(event)
         if self._secrets:
             event = event_without(event, self._secrets)

@@ -74,7 +74,6 @@ def _loaded(path: Path, arguments: Sequence[str]) -> ReplayConfig:
 
 
 def _program() -> Path:
-    """Find the command by which this was started."""
     started = Path(sys.argv[0])
     if started.name == _COMMAND and started.is_file():
         return started.absolute()

@@ -59,7 +59,6 @@ class LaunchTarget(Struct, frozen=True):
 def target_of(
     words: Sequence[str], *, launch_prefix: str = "", launch_prefix_filter: str = ""
 ) -> LaunchTarget:
-    """Return what a command line names; mistakes end the process."""
     from play_launch.launch_files.find import find  # noqa: PLC0415 - not for other verbs
 
     named = [each for each in words if ":=" not in each]
@@ -91,7 +90,6 @@ def _arguments(texts: Sequence[str]) -> dict[str, str]:
 
 
 def evaluated(target: LaunchTarget, timeout: float, *, only_arguments: bool = False) -> Description:
-    """Return what the launch file describes; mistakes end the process."""
     from play_launch.launch_files.ros_launch.evaluate import evaluate  # noqa: PLC0415
 
     try:
@@ -109,7 +107,6 @@ def evaluated(target: LaunchTarget, timeout: float, *, only_arguments: bool = Fa
 
 
 def say_arguments(arguments: Sequence[Argument]) -> None:
-    """Print the arguments that a launch file takes."""
     if not arguments:
         say("it declares no arguments")
     for each in arguments:
@@ -122,7 +119,6 @@ def say_arguments(arguments: Sequence[Argument]) -> None:
 
 
 def argument_values(arguments: Sequence[Argument]) -> list[dict[str, object]]:
-    """Return the arguments for programs."""
     return [
         {
             "name": each.name,
@@ -144,7 +140,6 @@ def report_losses(written: Written) -> None:
 
 
 def sizes(written: Written) -> str:
-    """Say how much was written."""
     return (
         f"{counted(written.containers, 'container')} with "
         f"{counted(written.composable_nodes, 'node')}, {counted(written.processes, 'process')}; "

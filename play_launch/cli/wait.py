@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from play_launch.control.client import ControlClient
     from play_launch.ros.node_services import NodeServices
 
-LOADED: Final = "loaded"
-READY: Final = "ready"
-ACTIVE: Final = "active"
 _SPARE: Final = 1.0
 """Seconds that the answer may be later than the limit."""
 _LEAST: Final = 0.001
@@ -68,7 +65,7 @@ def wait(
     with connected(session, deadline=options.deadline) as client:
         up = _up(client, options)
         missing: list[str] = []
-        if condition != LOADED:
+        if condition != "loaded":
             up, missing = _wait_in_the_graph(client, options, up)
     seconds = time.monotonic() - began
     if as_json:
@@ -92,9 +89,9 @@ def _up(client: ControlClient, options: _WaitOptions) -> list[str]:
     """Wait for what the session knows of, and return the names of what is up."""
     left = max(options.deadline - time.monotonic(), _LEAST)
     arguments = {"names": options.names, "timeout": left}
-    if options.condition == ACTIVE:
+    if options.condition == "active":
         # Those that are brought there; they can fail. The others are asked, see below.
-        arguments["for"] = ACTIVE
+        arguments["for"] = "active"
     answer = client.ask("wait", arguments, limit=left + _SPARE)
     return [each["name"] for each in answer["results"]]
 
@@ -125,7 +122,7 @@ def _wait_in_the_graph(
             missing: list[str] = []
             if not ros.until(lambda: ros.nodes() >= expected, end):  # noqa: B023 - used at once
                 missing = sorted(expected - ros.nodes())
-            elif options.condition == ACTIVE:
+            elif options.condition == "active":
                 missing = _inactive(ros, managed, up, expected, end)
             if not missing or time.monotonic() >= options.deadline:
                 return up, missing

@@ -36,15 +36,8 @@ class Condition(StrEnum):
     FILE = "file"
 
 
-class UnitCondition(StrEnum):
-    """The conditions that the key ``condition`` can name; the others have keys of their own."""
-
-    STARTED = Condition.STARTED.value
-    LOADED = Condition.LOADED.value
-    ACTIVE = Condition.ACTIVE.value
-    EXITED = Condition.EXITED.value
-
-
+OF_UNITS: Final = (Condition.STARTED, Condition.LOADED, Condition.ACTIVE, Condition.EXITED)
+"""Conditions that the key ``condition`` can name; the others have keys of their own."""
 ABOUT_GRAPH: Final = frozenset({Condition.NODE, Condition.TOPIC, Condition.SERVICE})
 """Conditions that need the ROS graph."""
 
@@ -98,7 +91,6 @@ class DependencyGraph:
     def __init__(
         self, rules: Mapping[str, StartRule], members: Mapping[str, tuple[str, ...]]
     ) -> None:
-        """Take the rules of units, and each member with its composable nodes."""
         self._members = members
         self._member_of = {unit: unit for unit in members}
         for member, nodes in members.items():

@@ -159,7 +159,6 @@ class Documents:
 
 
 def _arguments(entry: Cursor) -> dict[str, Cursor]:
-    """Return the arguments of an inclusion; report other values."""
     for key, value in entry.entries():
         if key.key not in {"file", "arguments"}:
             message = f"unknown key {excerpt(key.key)}; known here: file, arguments"

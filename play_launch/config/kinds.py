@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 from pydantic_core import core_schema
 
@@ -31,7 +31,7 @@ from play_launch.config.values import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from enum import StrEnum
 
     from play_launch.config.section import JsonSchema, Value
@@ -109,20 +109,19 @@ def integer(least: int, most: int) -> ValueKind[int]:
 
 
 def list_of(items: ValueKind[Value], *, least: int | None = None) -> ValueKind[list[Value]]:
-    """Return the kind of lists with at least so many items."""
     schema = core_schema.list_schema(items.schema, strict=True, min_length=least)
     return ValueKind(schema, list_form(items.form, least))
 
 
-def choice(choices: type[_Choice]) -> ValueKind[_Choice]:
-    """Return the kind of the values of an enumeration."""
-    words = [str(each) for each in choices]
+def choice(choices: Iterable[_Choice]) -> ValueKind[_Choice]:
+    by_word = {str(each): each for each in choices}
+    words = list(by_word)
 
     def parse(value: object) -> _Choice:
-        if not isinstance(value, str) or value not in words:
+        if not isinstance(value, str) or value not in by_word:
             given = excerpt(str(value))
             raise ValueError(f"expected {', '.join(words[:-1])} or {words[-1]}, given {given}")
-        return choices(value)
+        return by_word[value]
 
     return _parsed(parse, _substitutable({"enum": words}))
 
@@ -294,7 +293,6 @@ _LONGEST_PERIOD: Final = 1_000_000
 
 
 def parse_cpus(value: object) -> tuple[int, ...]:
-    """Return the numbers in order; raise ValueError with the fix."""
     cpus: set[int] = set()
     for each in value if isinstance(value, list) else [value]:
         if isinstance(each, bool) or not isinstance(each, int | str):
@@ -328,7 +326,6 @@ def _parse_io_priority(value: object) -> IoPriority:
 
 
 def parse_cpu_max(value: object) -> CpuMax:
-    """Return the CPU time in a period; raise ValueError with the fix."""
     text = value.strip() if isinstance(value, str) else ""
     if isinstance(value, int | float) and not isinstance(value, bool):
         raise ValueError(f"a number alone is ambiguous; write {value} % for a share of one CPU")  # noqa: TRY004 - pydantic collects ValueError
@@ -353,7 +350,6 @@ def parse_cpu_max(value: object) -> CpuMax:
 
 
 def _parse_base_path(value: object) -> str:
-    """Return the folder of a control group, empty for auto; raise ValueError with the fix."""
     if value == "auto":
         return ""
     text = value if isinstance(value, str) else ""
@@ -377,26 +373,20 @@ def _or_max(parse: Callable[[object], float]) -> Callable[[object], float]:
     return lambda value: NO_LIMIT if value == "max" else parse(value)
 
 
-def _size(value: object) -> float:
-    return 0 if value in {0, "0"} and not isinstance(value, bool) else parse_size(value)
-
-
-def _seconds(value: object) -> float:
-    return math.ceil(parse_duration(value))
-
-
-def _microseconds(value: object) -> float:
-    return math.ceil(parse_duration(value) * 1_000_000)
-
-
-def _nice(value: object) -> float:
-    return nice_limit(int(_whole(-20, 19, "a nice value from -20 to 19")(value)))
-
-
-BYTES: Final = (_SIZE_FORM, _size)
-SECONDS: Final = (_DURATION_FORM, _seconds)
-MICROSECONDS: Final = (_DURATION_FORM, _microseconds)
-NICE: Final = (_COUNT_FORM, _nice)
+_LimitForm: TypeAlias = "tuple[JsonSchema, Callable[[Any], float]]"
+BYTES: Final[_LimitForm] = (
+    _SIZE_FORM,
+    lambda value: 0 if value in {0, "0"} and value is not False else parse_size(value),
+)
+SECONDS: Final[_LimitForm] = (_DURATION_FORM, lambda value: math.ceil(parse_duration(value)))
+MICROSECONDS: Final[_LimitForm] = (
+    _DURATION_FORM,
+    lambda value: math.ceil(parse_duration(value) * 1_000_000),
+)
+NICE: Final[_LimitForm] = (
+    _COUNT_FORM,
+    lambda value: nice_limit(int(_whole(-20, 19, "a nice value from -20 to 19")(value))),
+)
 PRIORITY: Final = (_COUNT_FORM, _whole(0, 99, "a priority from 0 to 99"))
 COUNT: Final = (_COUNT_FORM, _whole(0, 2**63 - 1, "a number from 0 on"))
 """How limits of setrlimit(2) are written, and how they become what the kernel counts."""

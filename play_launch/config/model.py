@@ -79,7 +79,6 @@ class ContainerType(StrEnum):
 
     @property
     def is_multi_threaded(self) -> bool:
-        """Whether an executor has several threads."""
         return self in {ContainerType.MT, ContainerType.ISOLATED_MT}
 
 
@@ -112,12 +111,10 @@ class Output(StrEnum):
 
     @property
     def is_shown(self) -> bool:
-        """Whether it goes to the screen."""
         return self is not Output.LOG
 
     @property
     def is_recorded(self) -> bool:
-        """Whether it goes into the recording."""
         return self is not Output.SCREEN
 
 

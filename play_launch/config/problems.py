@@ -27,7 +27,6 @@ class Location(Struct, frozen=True):
 
     @property
     def inclusions(self) -> tuple[str, ...]:
-        """Where the file is included from, the nearest first."""
         above = self.included_from
         return () if above is None else (str(above), *above.inclusions)
 

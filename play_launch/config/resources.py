@@ -67,7 +67,6 @@ class GroupLimits(Struct, frozen=True, kw_only=True):
         return self != NO_LIMITS
 
     def _given(self) -> dict[str, Any]:
-        """Values of the limits that are set, in the order in which they are written."""
         values = {name: getattr(self, name) for name in _GROUP_FILES}
         return {name: value for name, value in values.items() if value not in (None, ())}
 
@@ -79,7 +78,6 @@ class GroupLimits(Struct, frozen=True, kw_only=True):
         }
 
     def controllers(self) -> frozenset[str]:
-        """Return the controllers that have these files."""
         return frozenset(file.partition(".")[0] for file in self.files())
 
     def described(self) -> dict[str, object]:
@@ -154,7 +152,6 @@ class IoPriority(Struct, frozen=True):
 
     @property
     def number(self) -> int:
-        """As the kernel has it."""
         return self.io_class << _IO_CLASS_SHIFT | self.level
 
     @classmethod
@@ -202,7 +199,6 @@ class Resources(Struct, frozen=True, kw_only=True):
 
     @property
     def limit_names(self) -> tuple[str, ...]:
-        """Names of the limits of setrlimit(2) that are set."""
         return tuple(limit.name for limit in self.rlimits)
 
     def settings(self) -> tuple[str, ...]:

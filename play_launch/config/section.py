@@ -132,7 +132,6 @@ class ConfigSection:
 
     @classmethod
     def schema(cls) -> CoreSchema:
-        """Return what checks the mapping and makes an instance of it."""
         fields = {
             name: core_schema.typed_dict_field(key.schema, required=key.required)
             for name, key in cls.keys.items()
@@ -194,7 +193,6 @@ def well_formed(section: type[SomeSection], at: Cursor | None) -> SomeSection | 
 
 
 def items_of(at: Cursor | None, what: str) -> Iterator[Cursor]:
-    """Yield each element of the list; report anything else."""
     if at is None:
         return
     if not at.is_plain_list:
@@ -224,7 +222,6 @@ def _plain(node: Node, schema: Any) -> object:
 
 
 def _refuse_tags(at: Cursor) -> bool:
-    """Report tags that only parameters have."""
     tag = None
     if isinstance(at.node, Sequence):
         tag = at.node.array_tag

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from play_launch.config import kinds
-from play_launch.config.dependency import OnTimeout, UnitCondition
+from play_launch.config.dependency import OF_UNITS, OnTimeout
 from play_launch.config.resources import SchedulerPolicy
 from play_launch.config.section import ConfigSection, nested, optional, raw, required
 
@@ -15,7 +15,7 @@ class DependencySection(ConfigSection):
         kinds.FILLED_TEXT, "Full name of a container, node or process of this file.", "driver"
     )
     condition = optional(
-        kinds.choice(UnitCondition), "With name: started, loaded, active or exited.", "loaded"
+        kinds.choice(OF_UNITS), "With name: started, loaded, active or exited.", "loaded"
     )
     log = optional(
         kinds.REGULAR_EXPRESSION,

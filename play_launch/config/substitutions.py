@@ -42,7 +42,6 @@ _OF_LAUNCH_FILES: Final = {
 
 
 def ament_prefixes(environ: Mapping[str, str]) -> list[Path]:
-    """Return the entries of AMENT_PREFIX_PATH, the prefixes of ROS packages."""
     return [
         Path(entry) for entry in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry
     ]
@@ -80,7 +79,6 @@ class InputsUsed:
         return TakenValues(self.arguments, self._variables, self._packages)
 
     def substitutions(self, arguments: Mapping[str, str]) -> Callable[[str], str]:
-        """Return a function that substitutes in a file that is included with `arguments`."""
 
         def argument(name: str) -> str | None:
             self.known_arguments.add(name)

@@ -79,14 +79,12 @@ def resolve_scalar(text: str, tag: str | None, *, plain: bool) -> tuple[ScalarKi
 
 
 def shown_tag(tag: str) -> str:
-    """Write `tag` the way it is written in a file."""
     if tag.startswith(_STANDARD):
         tag = "!!" + tag.removeprefix(_STANDARD)
     return excerpt(tag)[1:-1]
 
 
 def unknown_tag(tag: str) -> str:
-    """Return the message for a tag that is not supported here."""
     return f"the tag {shown_tag(tag)} is not supported; write the value without it"
 
 
@@ -147,7 +145,6 @@ class Scalar(Struct, frozen=True, eq=False):
 
     @property
     def is_quotable(self) -> bool:
-        """Whether it would be a string in quotes."""
         return self.kind in _NAMES
 
 
@@ -175,7 +172,6 @@ class Mapping(Struct, frozen=True, eq=False):
 
     @property
     def entries(self) -> Collection[Entry]:
-        """The entries in the order of the file."""
         return self.by_key.values()
 
     def value(self, key: str) -> Node | None:
@@ -200,7 +196,6 @@ class Cursor(Struct, frozen=True):
 
     @property
     def is_plain_list(self) -> bool:
-        """Whether it is a list without the tag of an array."""
         return isinstance(self.node, Sequence) and self.node.array_tag is None
 
     @property
@@ -212,7 +207,6 @@ class Cursor(Struct, frozen=True):
         return node.text if node.kind is ScalarKind.STRING or node.substituted else None
 
     def problem(self, message: str, location: Location | None = None) -> None:
-        """Report `message`, at `location` or where the node stands."""
         self.report.add(location or self.node.location, self.path or "(top level)", message)
 
     def expected(self, what: str) -> None:
@@ -234,13 +228,11 @@ class Cursor(Struct, frozen=True):
         return self.value(key) or self.below(key)
 
     def entries(self) -> Iterator[tuple[Entry, Cursor]]:
-        """Yield the entries of a mapping with their values."""
         if isinstance(self.node, Mapping):
             for entry in self.node.entries:
                 yield entry, self.below(entry.key, entry.value)
 
     def elements(self) -> Iterator[Cursor]:
-        """Yield the elements of a list."""
         if isinstance(self.node, Sequence):
             for index in range(len(self.node.items)):
                 yield self.element(index)

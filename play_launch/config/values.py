@@ -124,7 +124,6 @@ def parse_prefix(value: object) -> list[str]:
 
 
 def check_node_name(name: str) -> str:
-    """Return `name` if it is a valid node name; raise ValueError with the reason."""
     if not name:
         raise ValueError("a node name cannot be empty")
     if "/" in name:
@@ -182,7 +181,6 @@ def check_topic_pattern(pattern: str) -> str:
 
 
 def join_full_name(namespace: str, name: str) -> str:
-    """Return the absolute name of `name` in the absolute `namespace`."""
     return f"{namespace.rstrip('/')}/{name}"
 
 

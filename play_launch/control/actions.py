@@ -133,7 +133,6 @@ class Actions:
         self._log = log
 
     async def act(self, action: OperatorAction, request: ActionRequest, caller: Caller) -> Results:
-        """Carry an action out; raises OperationError."""
         targets = self._targets(action, request.names)
         self._refuse_if_stopping()
         number = _signal(request.signal) if isinstance(request, SignalRequest) else None

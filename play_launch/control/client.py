@@ -81,7 +81,6 @@ class ControlClient:
         self.close()
 
     def close(self) -> None:
-        """Close the connection, which ends what streams."""
         self._connection.close()
 
     def fileno(self) -> int:
@@ -89,7 +88,6 @@ class ControlClient:
         return self._connection.fileno()
 
     def peer(self) -> Peer:
-        """Return user and process that listen at the other end."""
         return peer_of(self._connection)
 
     def ask(

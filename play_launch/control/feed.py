@@ -45,7 +45,6 @@ class Feed:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def begin(self) -> None:
-        """Use the running loop: log records come from any thread."""
         self._loop = asyncio.get_running_loop()
 
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:  # noqa: ARG002 - a sink
@@ -60,7 +59,6 @@ class Feed:
             self._loop.call_soon_threadsafe(self._append, event)
 
     def recent(self) -> list[RunEvent]:
-        """Return the kept events in the order of time."""
         lines = (line for each in self._lines.values() for line in each.lines)
         return sorted([*self._events, *lines], key=lambda event: event.stamp_ns)
 
@@ -109,7 +107,6 @@ class Selection(Struct, frozen=True):
     """Of the nodes among them, whose output comes through their container."""
 
     def wants(self, event: RunEvent) -> bool:
-        """Whether an event is selected."""
         if EVENT_TYPES[type(event)] not in self.kinds:
             return False
         if self.names is None or not self.names.isdisjoint(names_of(event)):
@@ -146,7 +143,6 @@ class Follower:
         self._missed = 0
 
     def append(self, event: RunEvent) -> None:
-        """Queue an event, or drop and count it."""
         if self._selection.wants(event):
             try:
                 self._queue.put_nowait(event)
@@ -154,7 +150,6 @@ class Follower:
                 self._missed += 1
 
     async def send_all(self, events: Iterable[RunEvent], send: Send) -> None:
-        """Send those of the events that are selected."""
         for event in filter(self._selection.wants, events):
             await send("event", _message(event))
 

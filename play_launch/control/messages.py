@@ -243,7 +243,6 @@ class SessionHello(Struct, frozen=True, kw_only=True):
 
 
 def read_request(line: bytes) -> Request:
-    """Read a line of a client; raises OperationError."""
     try:
         request = msgspec.json.decode(line, type=Request)
     except (ValueError, RecursionError) as error:
@@ -258,7 +257,6 @@ def read_request(line: bytes) -> Request:
 
 
 def read_arguments(arguments: bytes, kind: type[_T]) -> _T:
-    """Read the arguments of an operation; raises OperationError."""
     try:
         return msgspec.json.decode(arguments, type=kind)
     except (ValueError, RecursionError) as error:

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
 from msgspec import Struct
 
-from play_launch.config.load import load_config, parse_config
-from play_launch.config.problems import ConfigError
-from play_launch.config.substitutions import Inputs, parse_arguments, share_folder
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import NODE_PARAMETERS
 from play_launch.control.actions import ActionLog, Actions, OperatorAction
@@ -44,7 +39,6 @@ from play_launch.control.units import (
     with_groups,
 )
 from play_launch.recording.topic_recorder import SnapshotError
-from play_launch.runtime.applying import STEP_LIMIT
 from play_launch.supervisor.events import (
     NodeState,
     NodeStateChanged,
@@ -53,7 +47,6 @@ from play_launch.supervisor.events import (
     ProcessEventKind,
     ProcessSample,
 )
-from play_launch.supervisor.plan import Applied, Plan, Result, StepOutcome
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
@@ -63,7 +56,6 @@ if TYPE_CHECKING:
     from play_launch.control.messages import Caller, Request
     from play_launch.control.units import Samples, Target
     from play_launch.recording.topic_recorder import Snapshots
-    from play_launch.runtime.applying import Applying
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import RunEvent
@@ -93,19 +85,10 @@ class Operations:
         snapshots: Snapshots,
         environment: Mapping[str, str],
         parameters_of: Callable[[str], bytes | None],
-        changes: Changes,
+        log: ActionLog,
+        apply: Callable[[ChangeRequest, Caller], Awaitable[object]],
     ) -> None:
-        """Operate a system.
-
-        Args:
-            system: The running system.
-            publisher: Publishes its events.
-            feed: Has its recent events.
-            snapshots: Write the seconds before a crash.
-            environment: That of its processes.
-            parameters_of: Returns the latest ``play_launch_msgs/NodeParameters`` of a node.
-            changes: Apply other configurations.
-        """
+        """Operate a system; ``parameters_of`` gives the latest ``NodeParameters`` of a node."""
         self._environment = {
             name: value for name, value in environment.items() if name.startswith(ROS_VARIABLES)
         }
@@ -115,8 +98,8 @@ class Operations:
         self._snapshots = snapshots
         self._parameters_of = parameters_of
         self._samples: Samples = {}
-        self._log = changes.log
-        actions = Actions(system, publisher, feed, self._log)
+        self._log = log
+        actions = Actions(system, publisher, feed, log)
         self._table: dict[str, tuple[type[Struct], Callable[[Any, Caller], Awaitable[object]]]] = {
             "ps": (Selected, self._ps),
             "status": (Selected, self._status),
@@ -132,12 +115,11 @@ class Operations:
                 for action in OperatorAction
             },
             "snapshot": (Nothing, self._snapshot),
-            "apply": (ChangeRequest, changes.apply),
+            "apply": (ChangeRequest, apply),
         }
         publisher.add_sink(self)
 
     async def __call__(self, request: Request, caller: Caller) -> object:
-        """Carry a request out; raises OperationError."""
         if request.op not in self._table:
             known = ", ".join(sorted(self._table))
             text = f"unknown operation {request.op!r:.80}; there are: {known}"
@@ -189,7 +171,6 @@ class Operations:
         return {"events": "sent"}
 
     async def _parameters(self, request: Selected, _caller: Caller) -> list[ParameterNames]:
-        """List names of parameters, configured or recorded."""
         configured = dict(_configured(self._system.config))
         found = []
         for target in self._chosen(request.names):
@@ -213,155 +194,6 @@ class Operations:
     def _chosen(self, wanted: Sequence[str]) -> list[Target]:
         view = self._publisher.view
         return chosen(wanted, [*members_of(view, self._system.processes), *nodes_of(view)])
-
-
-class Changes:
-    """Compares a running system with other configurations, and applies them."""
-
-    def __init__(
-        self,
-        system: System,
-        publisher: Publisher,
-        *,
-        with_command_line: Callable[[ReplayConfig], ReplayConfig],
-        on_begin: Callable[[ReplayConfig, int], None],
-        on_end: Callable[[ReplayConfig], None],
-    ) -> None:
-        """Change a system.
-
-        Args:
-            system: The running system.
-            publisher: Publishes its events.
-            with_command_line: Applies the options of the session's command line.
-            on_begin: Called before a configuration is applied, with its number.
-            on_end: Called afterwards with the resulting configuration.
-        """
-        self.log = ActionLog(publisher)
-        """Numbers and publishes the actions of the session."""
-        self._system = system
-        self._with_command_line = with_command_line
-        self._on_begin = on_begin
-        self._on_end = on_end
-        self._number = 0
-        self._task: asyncio.Task[Applied] | None = None
-        self._source = ""
-        """File of the configuration that is being applied, or was applied last."""
-
-    async def apply(self, request: ChangeRequest, caller: Caller) -> object:
-        """Send the plan, and apply it unless it is a dry run; raises OperationError."""
-        try:
-            target = await asyncio.to_thread(_read, request)
-        except ConfigError as error:
-            text = f"{request.path} cannot be used, nothing was changed\n{error.for_people()}"
-            raise OperationError(Code.BAD_ARGUMENTS, text) from None
-        except ValueError as error:
-            raise OperationError(Code.BAD_ARGUMENTS, str(error)) from None
-        target = self._with_command_line(target)
-        if request.dry_run:
-            applying = self._source if self._is_busy else None
-            return {"plan": self._applying.plan(target), "applying": applying}
-        ended: asyncio.Queue[Plan | StepOutcome | None] = asyncio.Queue()
-        task = self._begin(
-            target,
-            caller,
-            limit=request.timeout,
-            rolls_back=request.rollback_on_failure,
-            report=ended.put_nowait,
-        )
-        task.add_done_callback(lambda _: ended.put_nowait(None))
-        while (each := await ended.get()) is not None:
-            await caller.send("plan" if isinstance(each, Plan) else "step", each)
-        return {"applied": task.result()}
-
-    async def apply_own(self, target: ReplayConfig, caller: Caller) -> None:
-        """Apply a configuration that this process has read; the result is published.
-
-        Raises:
-            OperationError: When it cannot begin.
-        """
-        target = self._with_command_line(target)
-        while self._task is not None and self._is_busy:
-            await asyncio.wait({self._task})
-        if self._applying.plan(target).to_do:
-            await asyncio.wait({self._begin(target, caller)})
-
-    @property
-    def _is_busy(self) -> bool:
-        return self._task is not None and not self._task.done()
-
-    @property
-    def _applying(self) -> Applying:
-        return self._system.applying
-
-    def _begin(
-        self,
-        target: ReplayConfig,
-        caller: Caller,
-        *,
-        limit: float = STEP_LIMIT,
-        rolls_back: bool = False,
-        report: Callable[[Plan | StepOutcome], None] = lambda _: None,
-    ) -> asyncio.Task[Applied]:
-        if self._system.is_stopping:
-            raise OperationError(Code.REFUSED, "the session is being stopped")
-        if self._is_busy:
-            raise OperationError(
-                Code.REFUSED, "another configuration is being applied; try again when it is done"
-            )
-        self._source = str(target.source)
-
-        async def carry_out() -> Applied:
-            plan = self._applying.plan(target)
-            report(plan)
-            names = [step.name for step in plan.steps if step.name]
-            async with self.log.recorded("apply", names, caller, str(target.source)):
-                if plan.to_do:
-                    self._number += 1
-                    self._on_begin(target, self._number)
-                try:
-                    applied = await self._applying.apply(
-                        target, limit=limit, rolls_back=rolls_back, on_outcome=report
-                    )
-                finally:
-                    self._on_end(self._applying.config)
-                if not applied.succeeded:
-                    raise OperationError(
-                        Code.FAILED, _failures(applied), applied=msgspec.to_builtins(applied)
-                    )
-                return applied
-
-        # It is carried out to its end also when the client disconnects.
-        self._task = asyncio.create_task(carry_out())
-        # Its failure is published; that the client disconnected first is not worth a log.
-        self._task.add_done_callback(lambda task: task.cancelled() or task.exception())
-        return self._task
-
-
-def _read(request: ChangeRequest) -> ReplayConfig:
-    """Read a configuration; raises ConfigError, ValueError."""
-    inputs = Inputs(
-        arguments=parse_arguments(request.arguments),
-        environ=request.environment,
-        find_share=partial(share_folder, environ=request.environment),
-    )
-    path = Path(request.path)
-    if request.text is None:
-        return load_config(path, inputs)
-    return parse_config(request.text.encode(), path, inputs=inputs)
-
-
-def _failures(applied: Applied) -> str:
-    """Describe what failed, how many steps are done, and whether they were rolled back."""
-    failed = [each for each in applied.outcomes if each.result is Result.FAILED]
-    reasons = [f"{each.step.name or each.step.kind}: {each.reason}" for each in failed]
-    if not reasons:
-        reasons = sorted({each.reason for each in applied.outcomes if each.reason})
-    done = sum(each.result is Result.DONE for each in applied.outcomes)
-    text = f"{'; '.join(reasons)} ({done} of {len(applied.outcomes)} steps are done"
-    if applied.rollback is None:
-        return f"{text})"
-    is_back = all(each.result is Result.DONE for each in applied.rollback)
-    return f"{text}; {'rolled back' if is_back else 'the rollback failed as well'})"
 
 
 def _restarts_of(target: Target, events: Sequence[RunEvent]) -> Iterator[RestartRecord]:

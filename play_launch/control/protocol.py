@@ -68,7 +68,6 @@ class OperationError(Exception):
         self.details = details
 
     def as_object(self) -> dict[str, object]:
-        """Return the error of an answer."""
         return {"code": self.code, "message": str(self), **self.details}
 
     @classmethod

@@ -53,7 +53,6 @@ class Link(NamedTuple):
 
     @property
     def name(self) -> str:
-        """File name of the link."""
         return f"{self.pid}-{self.start_time}-{self.namespace}"
 
 
@@ -91,7 +90,6 @@ class ControlSocket:
             )
 
     def close(self) -> None:
-        """Withdraw, and stop listening."""
         self.withdraw()
         if self.socket is not None:
             self.socket.close()
@@ -138,7 +136,6 @@ def register(folder: str) -> str:
 
 
 def registered() -> list[Link]:
-    """List the registered sessions, the oldest link first."""
     return _links_in(links_folder(), os.geteuid())
 
 
@@ -176,12 +173,10 @@ def is_alive(link: Link) -> bool:
 
 
 def is_local(link: Link) -> bool:
-    """Whether the pid of a link belongs to the PID namespace of this process."""
     return link.namespace == _namespace()
 
 
 def forget(link: Link) -> None:
-    """Remove the link of a process that exited."""
     with contextlib.suppress(OSError):
         os.unlink(f"{links_folder()}/{link.name}")  # noqa: PTH108
 

@@ -1,4 +1,4 @@
-"""Serves the control socket of the running session."""
+"""Serves the control socket of the running session, and applies other configurations."""
 
 from __future__ import annotations
 
@@ -8,19 +8,27 @@ import logging
 import os
 import time
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
 from msgspec.structs import replace
 
+from play_launch.config.load import load_config, parse_config
+from play_launch.config.problems import ConfigError
+from play_launch.config.substitutions import Inputs, parse_arguments, share_folder
 from play_launch.container.cdr.layout import text_bytes
+from play_launch.control.actions import ActionLog
 from play_launch.control.client import own_command
 from play_launch.control.messages import Caller, SessionHello
-from play_launch.control.operations import Changes, Operations
-from play_launch.control.protocol import OperationError
+from play_launch.control.operations import Operations
+from play_launch.control.protocol import Code, OperationError
 from play_launch.control.server import serving
 from play_launch.recording import topics
 from play_launch.recording.facts import OURSELVES, package_version
 from play_launch.recording.resolved_form import resolved_form
+from play_launch.runtime.applying import STEP_LIMIT
+from play_launch.supervisor.plan import Plan, Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,12 +36,15 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
     from play_launch.control.config_watch import Watched
     from play_launch.control.feed import Feed
+    from play_launch.control.messages import ChangeRequest
     from play_launch.control.registration import ControlSocket
     from play_launch.recording.recorder import Recorder
     from play_launch.recording.session import Session
     from play_launch.recording.topic_recorder import Snapshots
+    from play_launch.runtime.applying import Applying
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
+    from play_launch.supervisor.plan import Applied, StepOutcome
 
 _log = logging.getLogger(__name__)
 
@@ -60,17 +71,14 @@ async def serve_control(
     from the command line; ``watched`` is applied when it changes; ``operable`` is set as soon as
     requests are served.
     """
-
-    def begin(target: ReplayConfig, number: int) -> None:
-        hide_secrets(target)
-        _attach(session.recorder, target, number)
-
     changes = Changes(
+        config,
         system,
         publisher,
-        with_command_line=partial(_with_command_line, config, keeps_duration=keeps_duration),
-        on_begin=begin,
-        on_end=adopt,
+        session.recorder,
+        hide_secrets=hide_secrets,
+        adopt=adopt,
+        keeps_duration=keeps_duration,
     )
     operations = Operations(
         system,
@@ -79,7 +87,8 @@ async def serve_control(
         snapshots=snapshots,
         environment={**os.environ, **config.environment},
         parameters_of=partial(session.recorder.latest, topics.PARAMETERS),
-        changes=changes,
+        log=changes.log,
+        apply=changes.apply,
     )
     version = await asyncio.to_thread(package_version, OURSELVES)
     hello = SessionHello(
@@ -118,16 +127,158 @@ async def _apply(changes: Changes, target: ReplayConfig) -> None:
         )
 
 
-def _with_command_line(
-    config: ReplayConfig, target: ReplayConfig, *, keeps_duration: bool
-) -> ReplayConfig:
-    """Put into ``target`` what the command line of the session said, as it did into ``config``."""
-    if keeps_duration:
-        target = replace(target, duration=config.duration)
-    folders = config.log_dir, target.log_dir
-    if None not in folders and len({str(each and each.absolute()) for each in folders}) == 1:
-        target = replace(target, log_dir=config.log_dir)  # one of them is a relative path
-    return target
+class Changes:
+    """Compares a running system with other configurations, and applies them."""
+
+    def __init__(
+        self,
+        config: ReplayConfig,
+        system: System,
+        publisher: Publisher,
+        recorder: Recorder,
+        *,
+        hide_secrets: Callable[[ReplayConfig], None],
+        adopt: Callable[[ReplayConfig], None],
+        keeps_duration: bool,
+    ) -> None:
+        self.log = ActionLog(publisher)
+        """Numbers and publishes the actions of the session."""
+        self._started_with = config
+        self._system = system
+        self._recorder = recorder
+        self._hide_secrets = hide_secrets
+        self._adopt = adopt
+        self._keeps_duration = keeps_duration
+        self._number = 0
+        self._task: asyncio.Task[Applied] | None = None
+        self._source = ""
+        """File of the configuration that is being applied, or was applied last."""
+
+    async def apply(self, request: ChangeRequest, caller: Caller) -> object:
+        """Send the plan, and apply it unless it is a dry run; raises OperationError."""
+        try:
+            target = await asyncio.to_thread(_read, request)
+        except ConfigError as error:
+            text = f"{request.path} cannot be used, nothing was changed\n{error.for_people()}"
+            raise OperationError(Code.BAD_ARGUMENTS, text) from None
+        except ValueError as error:
+            raise OperationError(Code.BAD_ARGUMENTS, str(error)) from None
+        target = self._with_command_line(target)
+        if request.dry_run:
+            applying = self._source if self._is_busy else None
+            return {"plan": self._applying.plan(target), "applying": applying}
+        ended: asyncio.Queue[Plan | StepOutcome | None] = asyncio.Queue()
+        task = self._begin(
+            target,
+            caller,
+            limit=request.timeout,
+            rolls_back=request.rollback_on_failure,
+            report=ended.put_nowait,
+        )
+        task.add_done_callback(lambda _: ended.put_nowait(None))
+        while (each := await ended.get()) is not None:
+            await caller.send("plan" if isinstance(each, Plan) else "step", each)
+        return {"applied": task.result()}
+
+    async def apply_own(self, target: ReplayConfig, caller: Caller) -> None:
+        """Apply a configuration that this process has read; the result is published.
+
+        Raises:
+            OperationError: When it cannot begin.
+        """
+        target = self._with_command_line(target)
+        while self._task is not None and self._is_busy:
+            await asyncio.wait({self._task})
+        if self._applying.plan(target).to_do:
+            await asyncio.wait({self._begin(target, caller)})
+
+    def _with_command_line(self, target: ReplayConfig) -> ReplayConfig:
+        """Put into ``target`` what the command line of the session said."""
+        began = self._started_with
+        if self._keeps_duration:
+            target = replace(target, duration=began.duration)
+        folders = began.log_dir, target.log_dir
+        if None not in folders and len({str(each and each.absolute()) for each in folders}) == 1:
+            target = replace(target, log_dir=began.log_dir)  # one of them is a relative path
+        return target
+
+    @property
+    def _is_busy(self) -> bool:
+        return self._task is not None and not self._task.done()
+
+    @property
+    def _applying(self) -> Applying:
+        return self._system.applying
+
+    def _begin(
+        self,
+        target: ReplayConfig,
+        caller: Caller,
+        *,
+        limit: float = STEP_LIMIT,
+        rolls_back: bool = False,
+        report: Callable[[Plan | StepOutcome], None] = lambda _: None,
+    ) -> asyncio.Task[Applied]:
+        if self._system.is_stopping:
+            raise OperationError(Code.REFUSED, "the session is being stopped")
+        if self._is_busy:
+            raise OperationError(
+                Code.REFUSED, "another configuration is being applied; try again when it is done"
+            )
+        self._source = str(target.source)
+
+        async def carry_out() -> Applied:
+            plan = self._applying.plan(target)
+            report(plan)
+            names = [step.name for step in plan.steps if step.name]
+            async with self.log.recorded("apply", names, caller, str(target.source)):
+                if plan.to_do:
+                    self._number += 1
+                    self._hide_secrets(target)
+                    _attach(self._recorder, target, self._number)
+                try:
+                    applied = await self._applying.apply(
+                        target, limit=limit, rolls_back=rolls_back, on_outcome=report
+                    )
+                finally:
+                    self._adopt(self._applying.config)
+                if not applied.succeeded:
+                    raise OperationError(
+                        Code.FAILED, _failures(applied), applied=msgspec.to_builtins(applied)
+                    )
+                return applied
+
+        # It is carried out to its end also when the client disconnects.
+        self._task = asyncio.create_task(carry_out())
+        # Its failure is published; that the client disconnected first is not worth a log.
+        self._task.add_done_callback(lambda task: task.cancelled() or task.exception())
+        return self._task
+
+
+def _read(request: ChangeRequest) -> ReplayConfig:
+    inputs = Inputs(
+        arguments=parse_arguments(request.arguments),
+        environ=request.environment,
+        find_share=partial(share_folder, environ=request.environment),
+    )
+    path = Path(request.path)
+    if request.text is None:
+        return load_config(path, inputs)
+    return parse_config(request.text.encode(), path, inputs=inputs)
+
+
+def _failures(applied: Applied) -> str:
+    """Describe what failed, how many steps are done, and whether they were rolled back."""
+    failed = [each for each in applied.outcomes if each.result is Result.FAILED]
+    reasons = [f"{each.step.name or each.step.kind}: {each.reason}" for each in failed]
+    if not reasons:
+        reasons = sorted({each.reason for each in applied.outcomes if each.reason})
+    done = sum(each.result is Result.DONE for each in applied.outcomes)
+    text = f"{'; '.join(reasons)} ({done} of {len(applied.outcomes)} steps are done"
+    if applied.rollback is None:
+        return f"{text})"
+    is_back = all(each.result is Result.DONE for each in applied.rollback)
+    return f"{text}; {'rolled back' if is_back else 'the rollback failed as well'})"
 
 
 def _attach(recorder: Recorder, config: ReplayConfig, number: int) -> None:

@@ -75,7 +75,6 @@ class ControlServer:
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
     ) -> None:
-        """Serve a client in a task."""
         task = tasks.create_task(self._serve(reader, writer))
         self._clients[task] = writer
         task.add_done_callback(self._clients.pop)

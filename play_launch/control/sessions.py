@@ -174,7 +174,6 @@ def find(
 
 
 def close(found: Iterable[Found]) -> None:
-    """Close the connections."""
     for each in found:
         if each.client is not None:
             each.client.close()

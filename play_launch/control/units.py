@@ -59,12 +59,10 @@ _SAMPLE_AGE_LIMIT_NS: Final = 30_000_000_000
 
 
 def members_of(view: SystemView, processes: Iterable[str]) -> list[Target]:
-    """List the containers and ordinary processes, as declared."""
     return list(dict.fromkeys([*view.containers, *processes, *view.processes]))
 
 
 def nodes_of(view: SystemView) -> list[Target]:
-    """List the composable nodes, as declared."""
     return [key for container in view.containers.values() for key in container.nodes]
 
 

@@ -10,6 +10,7 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from play_launch import UserError
 from play_launch.config.values import LARGEST_DOMAIN
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ BACKLOG: Final = 1024
 """Clients that may wait to be accepted; the kernel may allow fewer (net.core.somaxconn)."""
 
 STATUS_METHOD: Final = "system.play_launch_status"
-"""Answers with a JSON text, see `daemon.DaemonStatus`.
+"""Answers with a JSON text, see docs/daemon.md.
 
 The text is empty when an argument is given that is the present generation.
 
@@ -65,13 +66,14 @@ GRAPH_METHODS: Final = (
 """The methods of Jazzy; with Humble's rclpy the last two do not exist."""
 
 
-class DomainError(ValueError):
+class DomainError(UserError):
     """``ROS_DOMAIN_ID`` is no number of a ROS domain; the message says which are."""
 
     def __init__(self, value: str) -> None:
         shown = value if len(value) <= 40 else f"{value[:40]}…"
         super().__init__(
-            f"{DOMAIN_VARIABLE} is a number from 0 to {LARGEST_DOMAIN}, given {shown!r}"
+            f"{DOMAIN_VARIABLE} is a number from 0 to {LARGEST_DOMAIN}, given {shown!r}; "
+            "set another one"
         )
 
 
@@ -82,44 +84,32 @@ class DaemonAddress:
     domain: int
 
     def __post_init__(self) -> None:
-        """Raise ``DomainError`` for a number that is no domain."""
         if not 0 <= self.domain <= LARGEST_DOMAIN:
             raise DomainError(str(self.domain))
 
     @property
     def host(self) -> str:
-        """The IPv4 address; always loopback."""
         return HOST
 
     @property
     def port(self) -> int:
-        """The TCP port: 11511 and the domain."""
         return BASE_PORT + self.domain
 
     @property
     def path(self) -> str:
-        """The only path that requests are accepted on."""
         return PATH
 
     @property
     def url(self) -> str:
-        """What an XML-RPC client is given."""
         return f"http://{self.host}:{self.port}{self.path}"
 
 
-def domain_id(environment: Mapping[str, str] = os.environ) -> int:
-    """Read the ROS domain of ``environment``: 0 when it is not set or empty, as in rcl.
+def daemon_address(environment: Mapping[str, str] = os.environ) -> DaemonAddress:
+    """Return where the daemon of ``environment``'s domain listens; 0 when none is set, as in rcl.
 
     Raises ``DomainError`` for anything but a decimal number from 0 to 232.
     """
-    text = environment.get(DOMAIN_VARIABLE, "")
-    if not text:
-        return 0
+    text = environment.get(DOMAIN_VARIABLE, "") or "0"
     if not (text.isascii() and text.isdecimal()) or len(text) > len(str(LARGEST_DOMAIN)):
         raise DomainError(text)
-    return DaemonAddress(int(text)).domain
-
-
-def daemon_address(environment: Mapping[str, str] = os.environ) -> DaemonAddress:
-    """Return where the daemon of ``environment``'s domain listens; may raise ``DomainError``."""
-    return DaemonAddress(domain_id(environment))
+    return DaemonAddress(int(text))

@@ -10,7 +10,6 @@ import os
 import signal
 import threading
 import time
-from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final
 
 from play_launch.graph_daemon.contract import IDLE_TIMEOUT, LISTENING, WARM
@@ -37,58 +36,8 @@ _ADDRESS_INTERVAL: Final = 2.0
 REPLACEMENT_TIME: Final = 3.0
 """Seconds that a new node has to discover the others before it is used."""
 STATUS_VERSION: Final = 1
-"""Of the format of `DaemonStatus`; a field may be added without a change of it."""
+"""Of the format of the status; a field may be added without a change of it."""
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DaemonStatus:
-    """The daemon's state at one moment: the answer of ``system.play_launch_status``."""
-
-    daemon: str = "play_launch"
-    version: int = STATUS_VERSION
-    pid: int
-    domain: int
-    rmw: str
-    """The middleware's identifier, such as ``rmw_fastrtps_cpp``."""
-    node: str
-    """Name of the node that looks at the graph."""
-    age: float
-    """Seconds since the daemon started."""
-    warm: bool
-    """Whether it answers about the graph; before, such requests wait."""
-    settled: bool
-    """Whether nothing changed for half a second and no participant is known to be missing."""
-    generation: int
-    """Grows with every change of the graph."""
-    unchanged_for: float
-    """Seconds since the last change."""
-    changes_per_second: float
-    """Over the last ten seconds. Changes within 50 ms count as one."""
-    nodes: int
-    """Nodes in the graph, without the daemon's own."""
-    participants: int
-    """DDS participants that the daemon has met, itself too; 0 where that cannot be seen."""
-    participants_here: int
-    """DDS participants of the domain on this machine, by the kernel's table of sockets."""
-    replacements: int
-    """How often the node was replaced because the network's addresses changed."""
-    requests: int
-    cached_replies: int
-    """Requests that were answered without asking the graph again."""
-    connections: int
-    resets: int
-    """Connections that were reset because there were too many."""
-    idle_timeout: float
-    """Seconds without a request after which the daemon ends; 0 for never."""
-    transports: str
-    """As a value of FASTDDS_BUILTIN_TRANSPORTS, empty when they are not the daemon's choice."""
-    transports_reason: str
-    """Why; empty with another middleware than Fast DDS, where the variable means nothing."""
-
-    def to_json(self) -> str:
-        """Return it as one JSON object."""
-        return json.dumps(asdict(self), ensure_ascii=False)
 
 
 class Daemon:
@@ -156,40 +105,40 @@ class Daemon:
                 self._replacing.join()
             self._service.graph.close()
 
-    def status(self) -> DaemonStatus:
-        """Return the daemon's state."""
-        now = time.monotonic()
-        service, server = self._service, self._server
-        known = service.population()
-        pulse = service.pulse
-        return DaemonStatus(
-            pid=os.getpid(),
-            domain=self._address.domain,
-            rmw=self._rmw,
-            node=service.graph.name,
-            age=now - self._started,
-            warm=service.is_warm,
-            settled=pulse.is_quiet(now) and known.is_complete,
-            generation=service.generation,
-            unchanged_for=pulse.quiet_for(now),
-            changes_per_second=pulse.rate(now),
-            nodes=known.nodes,
-            participants=known.participants,
-            participants_here=known.participants_here,
-            replacements=self._replacements,
-            requests=server.requests,
-            cached_replies=service.cached_replies,
-            connections=server.connections,
-            resets=server.resets,
-            idle_timeout=self._idle_timeout,
-            transports=self._participant.transports,
-            transports_reason=self._participant.reason,
-        )
-
     def _status_text(self, generation: str = "") -> str:
+        """Return the state as one JSON object; docs/daemon.md describes the fields."""
+        service, server = self._service, self._server
         # To count participants takes longer than all the rest of an answer.
-        is_known = generation == str(self._service.generation)
-        return "" if is_known else self.status().to_json()
+        if generation == str(service.generation):
+            return ""
+        now = time.monotonic()
+        known, pulse = service.population(), service.pulse
+        values = {
+            "daemon": "play_launch",
+            "version": STATUS_VERSION,
+            "pid": os.getpid(),
+            "domain": self._address.domain,
+            "rmw": self._rmw,
+            "node": service.graph.name,
+            "age": now - self._started,
+            "warm": service.is_warm,
+            "settled": pulse.is_quiet(now) and known.is_complete,
+            "generation": service.generation,
+            "unchanged_for": pulse.quiet_for(now),
+            "changes_per_second": pulse.rate(now),
+            "nodes": known.nodes,
+            "participants": known.participants,
+            "participants_here": known.participants_here,
+            "replacements": self._replacements,
+            "requests": server.requests,
+            "cached_replies": service.cached_replies,
+            "connections": server.connections,
+            "resets": server.resets,
+            "idle_timeout": self._idle_timeout,
+            "transports": self._participant.transports,
+            "transports_reason": self._participant.reason,
+        }
+        return json.dumps(values, ensure_ascii=False)
 
     def _shut_down(self) -> None:
         # At once: when its caller has the answer, the port refuses connections.

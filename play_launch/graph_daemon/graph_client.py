@@ -46,13 +46,6 @@ class NoDaemonError(DaemonError):
         super().__init__(f"no daemon runs for ROS domain {address.domain} ({_place(address)})")
 
 
-class DaemonTimeoutError(DaemonError):
-    """A process listens, but has not answered in time."""
-
-    def __init__(self, address: DaemonAddress, timeout: float) -> None:
-        super().__init__(f"the daemon at {_place(address)} did not answer within {timeout:g} s")
-
-
 class BadReplyError(DaemonError):
     """The answer is not that of a graph daemon."""
 
@@ -68,16 +61,6 @@ class RemoteError(DaemonError):
         self.text = text
 
 
-class StockDaemonError(DaemonError):
-    """The daemon is ros2cli's, which does not answer in JSON."""
-
-    def __init__(self, address: DaemonAddress) -> None:
-        super().__init__(
-            f"ros2cli's daemon serves ROS domain {address.domain}; replace it with "
-            "'play-launch daemon start'"
-        )
-
-
 class NodeName(NamedTuple):
     """A node as the graph has it; two nodes may have the same name."""
 
@@ -86,7 +69,6 @@ class NodeName(NamedTuple):
 
     @property
     def full_name(self) -> str:
-        """The namespace and the name, with one slash between."""
         return f"{self.namespace.removesuffix('/')}/{self.name}"
 
 
@@ -108,7 +90,6 @@ class GraphClient:
         self._timeout = timeout
 
     def nodes(self) -> list[NodeName]:
-        """All nodes, hidden ones too, sorted by their full names."""
         rows = self._query("get_node_names_and_namespaces")
         return sorted((NodeName(*row[:2]) for row in rows), key=lambda node: node.full_name)
 
@@ -132,11 +113,12 @@ class GraphClient:
                 return self._text(method, self._exchange(request, deadline))
             except ConnectionRefusedError:
                 raise NoDaemonError(self._address) from None
-            except TimeoutError:
-                raise DaemonTimeoutError(self._address, self._timeout) from None
-            except (ConnectionResetError, BrokenPipeError):
+            except (TimeoutError, ConnectionResetError, BrokenPipeError):
                 if time.monotonic() + pause > deadline:
-                    raise DaemonTimeoutError(self._address, self._timeout) from None
+                    raise DaemonError(
+                        f"the daemon at {_place(self._address)} did not answer within "
+                        f"{self._timeout:g} s"
+                    ) from None
                 time.sleep(pause)
                 pause = min(2 * pause, _LONGEST_PAUSE)
             except OSError as error:
@@ -147,7 +129,10 @@ class GraphClient:
             text = self.call(JSON_METHOD, method, *arguments)
         except RemoteError as error:
             if f'"{JSON_METHOD}" is not supported' in error.text:
-                raise StockDaemonError(self._address) from None
+                raise DaemonError(
+                    f"ros2cli's daemon serves ROS domain {self._address.domain}; replace it with "
+                    "'play-launch daemon start'"
+                ) from None
             raise
         try:
             rows: list[Any] = json.loads(text)

@@ -7,8 +7,6 @@ the same; what it answers with 500, or not at all, has a number of its own here.
 from __future__ import annotations
 
 import re
-import zlib
-from dataclasses import dataclass
 from typing import Final
 
 from play_launch.graph_daemon.contract import PATH
@@ -16,10 +14,9 @@ from play_launch.graph_daemon.contract import PATH
 LONGEST_HEAD: Final = 8 * 1024
 """Bytes of request line and headers."""
 LONGEST_BODY: Final = 32 * 1024
-"""Bytes of a request's body, also after unpacking; a call of ros2cli has some hundred."""
+"""Bytes of a request's body; a call of ros2cli has some hundred."""
 
 END_OF_HEAD: Final = re.compile(rb"\r?\n\r?\n")
-CONSENT: Final = b"HTTP/1.1 100 Continue\r\n\r\n"
 _REQUEST_LINE: Final = re.compile(rb"([!-~]+) ([!-~]+) HTTP/(1\.[01])")
 _OUR_HOST: Final = re.compile(rb"(?:127\.0\.0\.1|localhost|\[::1\])(?::[0-9]{1,5})?", re.IGNORECASE)
 _LENGTH: Final = re.compile(rb"[0-9]{1,18}")
@@ -41,7 +38,6 @@ class Rejection(Exception):  # noqa: N818 - HTTP's own word
 
 
 def response(body: bytes, *, keep_alive: bool) -> bytes:
-    """Return head and body of an answer to a call."""
     ending = b"\r\n\r\n" if keep_alive else b"\r\nConnection: close\r\n\r\n"
     return b"HTTP/1.1 200 OK\r\nContent-Type: text/xml\r\nContent-Length: %d%b%b" % (
         len(body),
@@ -50,19 +46,11 @@ def response(body: bytes, *, keep_alive: bool) -> bytes:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Head:
-    """Length and form of a request's body, and what may follow it, by its head."""
+def parse_head(text: bytes) -> tuple[int, bool]:
+    """Read a head without the empty line at its end; raises `Rejection`.
 
-    length: int
-    is_packed: bool
-    keep_alive: bool
-    awaits_consent: bool
-    """Whether the client sends the body only after `CONSENT`."""
-
-
-def parse_head(text: bytes) -> Head:
-    """Read a head without the empty line at its end; raises `Rejection`."""
+    Returns the length of the body, and whether another request may follow.
+    """
     first, *lines = text.replace(b"\r\n", b"\n").split(b"\n")
     line = _REQUEST_LINE.fullmatch(first)
     if line is None:
@@ -96,26 +84,7 @@ def parse_head(text: bytes) -> Head:
         raise Rejection(400, "Bad Request")
     if int(length) > LONGEST_BODY:
         raise Rejection(413, "Content Too Large")
-    encoding = headers.get(b"content-encoding", b"identity").lower()
-    if encoding not in {b"identity", b"gzip"}:
+    if headers.get(b"content-encoding", b"identity").lower() != b"identity":
         raise Rejection(501, "Encoding not supported")
     wish = headers.get(b"connection", b"").lower()
-    is_old = version == b"1.0"
-    return Head(
-        length=int(length),
-        is_packed=encoding == b"gzip",
-        keep_alive=b"keep-alive" in wish if is_old else b"close" not in wish,
-        awaits_consent=not is_old and headers.get(b"expect", b"").lower() == b"100-continue",
-    )
-
-
-def unpack(packed: bytes) -> bytes:
-    """Unpack gzip; raises `Rejection` when it is broken or unpacks to more than `LONGEST_BODY`."""
-    unpacker = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
-    try:
-        body = unpacker.decompress(packed, LONGEST_BODY + 1)
-    except zlib.error:
-        body = b""
-    if not unpacker.eof or len(body) > LONGEST_BODY:
-        raise Rejection(400, "Bad gzip content")
-    return body
+    return int(length), b"keep-alive" in wish if version == b"1.0" else b"close" not in wish

@@ -28,19 +28,16 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.graph_daemon.contract import BACKLOG
 from play_launch.graph_daemon.http_head import (
-    CONSENT,
     END_OF_HEAD,
     LONGEST_HEAD,
     Rejection,
     parse_head,
     response,
-    unpack,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
 
-    from play_launch.graph_daemon.http_head import Head
 
 _READ_AT_ONCE: Final = 16 * 1024
 _RESET_ON_CLOSE: Final = struct.pack("ii", 1, 0)
@@ -101,11 +98,9 @@ class HttpServer:
 
     @property
     def connections(self) -> int:
-        """How many clients there are."""
         return len(self._clients)
 
     def start(self) -> None:
-        """Accept clients from now on."""
         self._loop = asyncio.get_running_loop()
         self._listener.setblocking(False)
         self._listener.listen(BACKLOG)
@@ -240,16 +235,18 @@ class HttpConnection:
         self._socket.close()
 
     async def _exchange(self) -> bool:
-        """Answer one request; whether another may follow."""
         try:
-            head = parse_head(await self._read_head())
-            body = await self._read_body(head)
+            length, keep = parse_head(await self._read_head())
+            while len(self._received) < length:
+                await self._receive()
         except Rejection as rejection:
             self._received.clear()
             await self._send(rejection.response)
             return False
+        body = bytes(self._received[:length])
+        del self._received[:length]
         reply = await self._server.answer(body)
-        keep = head.keep_alive and not self._server.is_closing
+        keep = keep and not self._server.is_closing
         await self._send(response(reply, keep_alive=keep))
         return keep
 
@@ -269,15 +266,6 @@ class HttpConnection:
                 del self._received[: found.end()]
                 return text
             await self._receive()
-
-    async def _read_body(self, head: Head) -> bytes:
-        if head.awaits_consent:
-            await self._send(CONSENT)
-        while len(self._received) < head.length:
-            await self._receive()
-        body = bytes(self._received[: head.length])
-        del self._received[: head.length]
-        return unpack(body) if head.is_packed else body
 
     async def _receive(self) -> None:
         """Read what has come; raises ``EOFError`` at the client's end."""

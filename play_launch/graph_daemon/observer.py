@@ -13,6 +13,7 @@ from concurrent.futures import Future
 from functools import partial
 from typing import TYPE_CHECKING, Final, TypeVar
 
+from play_launch import UserError
 from play_launch.graph_daemon.contract import (
     LISTENING,
     NODE_PREFIX,
@@ -27,12 +28,11 @@ from play_launch.graph_daemon.graph_client import (
     NoDaemonError,
     RemoteError,
 )
-from play_launch.graph_daemon.port import PortHeldError
-from play_launch.graph_daemon.start_stop import DaemonStartError, start_daemon
+from play_launch.graph_daemon.start_stop import start_daemon
 from play_launch.supervisor.events import GraphChanged
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Mapping
 
     from play_launch.graph_daemon.contract import DaemonAddress
     from play_launch.supervisor.events import EventSink
@@ -51,29 +51,9 @@ BETWEEN_STARTS: Final = 10.0
 _LAST_POLL_TIMEOUT: Final = 2.0
 _GONE: Final = (NoDaemonError, RemoteError, BadReplyError, ValueError, KeyError, TypeError)
 """Errors which mean that our daemon has lost the port."""
-_RECORDER_PREFIX: Final = "_play_launch_recorder_"
-"""Of the node in `container_native/src/topic_recorder/ros.cpp`."""
+_OWN_NODES: Final = (NODE_PREFIX, "_play_launch_recorder_")
+"""Prefixes of daemons' nodes, and of the one in `container_native/src/topic_recorder/ros.cpp`."""
 _log = logging.getLogger(__name__)
-
-
-def changes(before: Counter[str], now: Counter[str], stamp_ns: int) -> GraphChanged | None:
-    """Compare two lists of nodes, each with how often a name occurs; None when they are equal."""
-    if before == now:
-        return None
-    return GraphChanged(
-        stamp_ns=stamp_ns,
-        appeared=tuple(sorted((now - before).elements())),
-        vanished=tuple(sorted((before - now).elements())),
-        nodes=now.total(),
-    )
-
-
-def next_pause(pause: float, *, changed: bool) -> float:
-    """Return the seconds until the next poll, ``pause`` being those before this one.
-
-    A graph that has changed changes again soon; otherwise the pauses grow.
-    """
-    return POLL if changed else min(1.25 * pause, LONGEST_POLL)
 
 
 async def observe_graph(environment: Mapping[str, str], sink: EventSink) -> None:
@@ -106,7 +86,7 @@ async def observe_graph(environment: Mapping[str, str], sink: EventSink) -> None
                     environment=environment,
                 )
             )
-        except (PortHeldError, DaemonStartError, OSError) as error:
+        except (UserError, OSError) as error:
             observer.warn_once(f"no graph daemon: {error}")
         else:
             log = _log.info if started.started else _log.warning
@@ -139,7 +119,7 @@ class _Observer:
         try:
             while True:
                 changed = await self._poll()
-                pause = next_pause(pause, changed=changed)
+                pause = POLL if changed else min(1.25 * pause, LONGEST_POLL)
                 await asyncio.sleep(pause)
         except _GONE as error:
             self.warn_once(f"the graph daemon does not answer: {error}")
@@ -171,21 +151,19 @@ class _Observer:
             return True
         self._warning = ""
         self._generation = generation
-        event = self._fold((node.full_name for node in nodes if not _is_ours(node.name)), stamp_ns)
-        if event is not None:
-            self._sink.publish(event)
-        return True
-
-    def _fold(self, nodes: Iterable[str], stamp_ns: int) -> GraphChanged | None:
-        now = Counter(nodes)
-        event = changes(self._known, now, stamp_ns)
+        before = self._known
+        now = Counter(each.full_name for each in nodes if not each.name.startswith(_OWN_NODES))
         self._known = now
-        return event
-
-
-def _is_ours(name: str) -> bool:
-    """Whether it is the node of a daemon or of our topic recorder."""
-    return name.startswith((NODE_PREFIX, _RECORDER_PREFIX))
+        if before != now:
+            self._sink.publish(
+                GraphChanged(
+                    stamp_ns=stamp_ns,
+                    appeared=tuple(sorted((now - before).elements())),
+                    vanished=tuple(sorted((before - now).elements())),
+                    nodes=now.total(),
+                )
+            )
+        return True
 
 
 def _in_a_thread(work: Callable[[], _Result]) -> asyncio.Future[_Result]:

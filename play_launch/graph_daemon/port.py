@@ -95,7 +95,7 @@ class PortOwner:
     """0 where the process belongs to another user."""
     command: str = ""
     status: Mapping[str, Any] = field(default_factory=dict)
-    """The fields of `DaemonStatus` for our daemon. Where its process is of the same user,
+    """The status of our daemon. Where its process is of the same user,
     ``settings`` are those of its environment that discovery depends on."""
     problem: str = ""
     """The reason why it is neither of the two daemons."""
@@ -194,7 +194,7 @@ def acquire(
         environment: The caller's, to compare with the settings of one that is kept.
         notify: Called with a line when the port is not free for longer.
 
-    Raises ``PortHeldError`` where it belongs to another process, and ``OSError``.
+    Raises ``PortHeldError`` where it belongs to another process, and ``DaemonError``.
     """
     messages: tuple[str, ...] = ()
     owner = find_owner(address)
@@ -238,7 +238,7 @@ def listen(address: DaemonAddress) -> socket.socket:
         listener.close()
         if error.errno == errno.EADDRINUSE:
             raise PortHeldError(f"{address.host}:{address.port} is in use") from None
-        raise
+        raise DaemonError(f"{address.host}:{address.port}: {error.strerror or error}") from None
     return listener
 
 

@@ -11,7 +11,7 @@ import importlib
 import logging
 import os
 import threading
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 from uuid import uuid4
 
 import rclpy
@@ -44,15 +44,6 @@ def rmw_implementation() -> str:
     return str(rclpy.get_rmw_implementation_identifier())
 
 
-class Met(NamedTuple):
-    """What a participant has discovered."""
-
-    participants: int
-    """Number of participants, itself included; 0 with a middleware that does not show them."""
-    nameless: int
-    """Number of publishers whose nodes are not known yet."""
-
-
 class RosGraph:
     """A node in a context, so a DDS participant, of its own.
 
@@ -73,7 +64,7 @@ class RosGraph:
             with as_our_own(os.environ, rmw_implementation()):
                 rclpy.init(args=[], context=self._context)
                 end_participants_safely()
-                self._node = Node(
+                self.node = Node(
                     f"{NODE_PREFIX}{domain}_{uuid4().hex}",
                     context=self._context,
                     start_parameter_services=False,
@@ -83,41 +74,35 @@ class RosGraph:
                     ],
                     automatically_declare_parameters_from_overrides=True,
                 )
-            self._name = str(self._node.get_name())
-            self._watch = Waiting(self._node, on_change)
+            self.name = str(self.node.get_name())
+            """Without its namespace, which is the root."""
+            self._watch = Waiting(self.node, on_change)
         except BaseException:
             self._context.try_shutdown()
             raise
         self._thread = threading.Thread(target=self._run, name="graph", daemon=True)
         self._thread.start()
 
-    @property
-    def name(self) -> str:
-        """The name of the node, without its namespace, which is the root."""
-        return self._name
-
-    def call(self, method: str, *arguments: object) -> Any:
-        """Call one of `GRAPH_METHODS`; raises what rclpy raises."""
-        return _function(self._node, method)(*arguments)
-
     def nodes(self) -> list[tuple[str, str]]:
-        """Return name and namespace of every node, this one too."""
-        return list(self._node.get_node_names_and_namespaces())
+        return list(self.node.get_node_names_and_namespaces())
 
-    def met(self) -> Met:
-        """Return what this participant has discovered."""
-        participants = self._node.get_publishers_info_by_topic(_DISCOVERY_TOPIC, no_mangle=True)
-        speakers = self._node.get_publishers_info_by_topic("/rosout")
+    def met(self) -> tuple[int, int]:
+        """Count what this participant has discovered.
+
+        Returns the participants, itself included (0 with a middleware that does not show them), and
+        the publishers whose nodes are not known yet.
+        """
+        participants = self.node.get_publishers_info_by_topic(_DISCOVERY_TOPIC, no_mangle=True)
+        speakers = self.node.get_publishers_info_by_topic("/rosout")
         nameless = sum(speaker.node_name == _UNKNOWN_NODE for speaker in speakers)
-        return Met(len(participants), nameless)
+        return len(participants), nameless
 
     def close(self) -> None:
-        """Leave the graph."""
         self._stopping.set()
         self._watch.wake()
         self._thread.join()
         self._watch.close()
-        self._node.destroy_node()
+        self.node.destroy_node()
         self._context.try_shutdown()
 
     def _run(self) -> None:
@@ -130,45 +115,25 @@ class RosGraph:
                 self._on_change()
 
 
-_ACTION_FUNCTIONS: Final[dict[str, Any]] = {
-    "get_action_names_and_types": rclpy.action.get_action_names_and_types,
-    "get_action_server_names_and_types_by_node": (
-        rclpy.action.get_action_server_names_and_types_by_node
-    ),
-    "get_action_client_names_and_types_by_node": (
-        rclpy.action.get_action_client_names_and_types_by_node
-    ),
-}
-
-
 def graph_functions(graph: Callable[[], RosGraph]) -> dict[str, Callable[..., Any]]:
     """Return the functions behind `GRAPH_METHODS` that this rclpy has.
 
     They query whatever ``graph`` returns when they are called, and carry rclpy's documentation.
     """
+
+    def forwarded(original: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(original)
+        def function(*arguments: object) -> Any:
+            return original(graph().node, *arguments)
+
+        return function
+
     functions: dict[str, Callable[..., Any]] = {}
     for method in GRAPH_METHODS:
-        original = _ACTION_FUNCTIONS.get(method) or getattr(Node, method, None)
+        original = getattr(rclpy.action, method, None) or getattr(Node, method, None)
         if original is not None:
-            functions[method] = _forwarded(method, original, graph)
+            functions[method] = forwarded(original)
     return functions
-
-
-def _forwarded(
-    method: str, original: Callable[..., Any], graph: Callable[[], RosGraph]
-) -> Callable[..., Any]:
-    @functools.wraps(original)
-    def function(*arguments: object) -> Any:
-        return graph().call(method, *arguments)
-
-    return function
-
-
-def _function(node: Node, method: str) -> Callable[..., Any]:
-    action = _ACTION_FUNCTIONS.get(method)
-    function: Callable[..., Any]
-    function = functools.partial(action, node) if action else getattr(node, method)
-    return function
 
 
 def _register_values() -> None:

@@ -78,10 +78,11 @@ class GraphService:
         self._status = status
         self._participants_here = participants_here
         self._graph: RosGraph | None = None
-        self._generation = 0
+        self.generation = 0
+        """Grows with every change of the graph."""
         self._counting = threading.Lock()
         self._querying = threading.Lock()
-        self._pulse = Pulse(time.monotonic())
+        self.pulse = Pulse(time.monotonic())
         self._warm = asyncio.Event()
         self._counted: tuple[int, float, Population] | None = None
         self._replies: dict[bytes, _Reply] = {}
@@ -92,30 +93,18 @@ class GraphService:
 
     @property
     def graph(self) -> RosGraph:
-        """The node in use."""
         if self._graph is None:
             raise RuntimeError("there is no node yet")
         return self._graph
 
     @property
-    def generation(self) -> int:
-        """Grows with every change of the graph."""
-        return self._generation
-
-    @property
-    def pulse(self) -> Pulse:
-        """Times of the graph's changes."""
-        return self._pulse
-
-    @property
     def is_warm(self) -> bool:
-        """Whether requests are answered."""
         return self._warm.is_set()
 
     def use(self, graph: RosGraph) -> None:
         """Query the graph through this node from now on."""
         if self._graph is None:
-            self._pulse = Pulse(time.monotonic())
+            self.pulse = Pulse(time.monotonic())
         with self._querying:  # afterwards no query uses the old one
             self._graph = graph
         self.changed()
@@ -124,24 +113,24 @@ class GraphService:
         """Count a change of the graph, which invalidates the replies that are not held."""
         # While the node is replaced, two of them report.
         with self._counting:
-            self._generation += 1
-            self._pulse.change(time.monotonic())
+            self.generation += 1
+            self.pulse.change(time.monotonic())
 
     def check_warm(self) -> bool:
         """Release the requests about the graph when it is known well enough."""
         now = time.monotonic()
         complete = False
-        if self._pulse.is_quiet(now):
+        if self.pulse.is_quiet(now):
             # Whatever rclpy raises, the limit ends the wait.
             with contextlib.suppress(Exception):
                 complete = self._count_population().is_complete
-        if complete or self._pulse.is_overdue(now):
+        if complete or self.pulse.is_overdue(now):
             self._warm.set()
         return self.is_warm
 
     def population(self) -> Population:
         """Return the numbers of nodes; counted anew after a change, or after `LONGEST_COUNT`."""
-        now, generation = time.monotonic(), self._generation
+        now, generation = time.monotonic(), self.generation
         known = self._counted
         if known is None or known[0] != generation or now - known[1] > LONGEST_COUNT:
             self._counted = known = generation, now, self._count_population()
@@ -163,13 +152,12 @@ class GraphService:
             return await self.answer(body)  # others may have had the same request
         with self._querying:
             # From before the query: what changes meanwhile may not be in the reply.
-            generation, asked = self._generation, time.monotonic()
+            generation, asked = self.generation, time.monotonic()
             reply = self._call(method, arguments)
             self._keep(body, reply, generation, asked)
             return reply
 
     def close(self) -> None:
-        """Release all requests."""
         self._warm.set()
 
     def _call(self, method: str | None, arguments: tuple[Any, ...]) -> bytes:
@@ -191,7 +179,7 @@ class GraphService:
         now = time.monotonic()
         if reply is None or now - reply.asked > LONGEST_USE:
             return None
-        if reply.generation != self._generation and now >= reply.held_until:
+        if reply.generation != self.generation and now >= reply.held_until:
             return None
         self.cached_replies += 1
         return reply.body

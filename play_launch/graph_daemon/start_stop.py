@@ -72,7 +72,7 @@ def start_daemon(
         environment: Environment of the daemon's process.
         notify: As of `acquire`.
 
-    Raises ``PortHeldError``, ``DaemonStartError`` and ``OSError``, with messages for the user.
+    Raises ``PortHeldError``, ``DaemonStartError`` and ``DaemonError``.
     """
     port = acquire(address, restart=restart, environment=environment, notify=notify)
     if port.listener is None:

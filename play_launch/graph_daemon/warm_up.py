@@ -41,21 +41,17 @@ class Pulse:
         self._changes: deque[float] = deque()
 
     def change(self, now: float) -> None:
-        """The graph changed."""
         self._last = max(self._last, now)
         self._changes.append(now)
         self._drop_old(now)
 
     def is_overdue(self, now: float) -> bool:
-        """Whether the limit of the warm-up is over."""
         return now - self._started >= LONGEST_WARM_UP
 
     def is_quiet(self, now: float) -> bool:
-        """Whether nothing has changed for `QUIET`."""
         return now - self._last >= QUIET
 
     def quiet_for(self, now: float) -> float:
-        """Return the seconds since the last change."""
         return max(0.0, now - self._last)
 
     def rate(self, now: float) -> float:

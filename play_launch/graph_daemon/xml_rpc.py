@@ -20,13 +20,6 @@ _NOT_XML: Final = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uff
 """Characters that a name in the graph may have and an XML parser refuses."""
 
 
-class DocumentTypeError(ValueError):
-    """A request with a document type, whose entities could grow without bound."""
-
-    def __init__(self) -> None:
-        super().__init__("a document type is not accepted")
-
-
 class _Writer(Marshaller):
     dispatch: ClassVar[dict[Any, Any]] = dict(Marshaller.dispatch)  # type: ignore[misc]
 
@@ -63,7 +56,8 @@ def register_struct(kind: type) -> None:
 def parse_call(body: bytes) -> tuple[str | None, tuple[object, ...]]:
     """Return method and arguments of a request; the method is None where it names none.
 
-    Raises what ``xmlrpc.client.loads`` raises, and ``DocumentTypeError``.
+    Raises what ``xmlrpc.client.loads`` raises, and ``ValueError`` for a document type, whose
+    entities could grow without bound.
     """
     target = Unmarshaller()
     parser = expat.ParserCreate(None, None)
@@ -97,4 +91,4 @@ def _document(values: Any) -> bytes:
 
 
 def _refuse_document_type(*_: object) -> None:
-    raise DocumentTypeError
+    raise ValueError("a document type is not accepted")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import http.client
 import json
-import xmlrpc.client
 from pathlib import Path
 from typing import Any
 
@@ -45,17 +44,6 @@ def test_the_answer_is_the_recorded_one(
         assert hashlib.sha256(answer.encode()).hexdigest() == entry["sha256"]
     else:
         assert answer == entry["answer"]
-
-
-def test_a_plain_client_gets_plain_values(known_scene: DaemonAddress) -> None:
-    with xmlrpc.client.ServerProxy(known_scene.url, allow_none=True) as proxy:
-        assert proxy.get_namespace() == "/"
-        assert proxy.count_publishers("/chatter") == 1
-        nodes: Any = proxy.get_node_names_and_namespaces()
-        assert ["camera", "/sensing"] in nodes
-        with pytest.raises(xmlrpc.client.Fault) as caught:
-            proxy.get_name(1)
-        assert caught.value.faultCode == 1
 
 
 def test_our_own_method_is_not_listed(daemon: DaemonAddress) -> None:
@@ -117,13 +105,6 @@ def test_what_is_no_call_is_a_fault(
         assert read(answer)[0] == "fault"
 
 
-def test_other_methods_of_http_are_refused(daemon: DaemonAddress) -> None:
-    connection = http.client.HTTPConnection(daemon.host, daemon.port, timeout=60)
-    connection.request("GET", daemon.path)
-    assert connection.getresponse().status == 501
-    connection.close()
-
-
 @pytest.mark.parametrize(
     "header", [("Origin", "http://example.org"), ("Host", "example.org:11511")]
 )
@@ -136,15 +117,3 @@ def test_a_page_of_the_web_cannot_shut_it_down(
     assert connection.getresponse().status == 403
     connection.close()
     assert post(daemon, request_body("get_namespace", []))[0] == 200
-
-
-def test_one_connection_serves_many_calls(daemon: DaemonAddress) -> None:
-    connection = http.client.HTTPConnection(daemon.host, daemon.port, timeout=60)
-    ports = set()
-    for _ in range(3):
-        connection.request("POST", daemon.path, request_body("get_namespace", []))
-        answer = connection.getresponse()
-        assert read(answer.read()) == "/"
-        ports.add(connection.sock.getsockname())
-    connection.close()
-    assert len(ports) == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,10 +15,10 @@ import pytest
 
 from play_launch.cli.daemon import describe
 from play_launch.graph_daemon.contract import DaemonAddress
-from play_launch.graph_daemon.daemon import DaemonStatus
 from play_launch.graph_daemon.port import OwnerKind, PortOwner, stop_daemon
 from tests.graph_daemon.occupants import end_daemons, occupied
 
+ROOT = Path(__file__).resolve().parents[2]
 COMMAND = Path(sys.executable).parent / "play-launch"
 
 
@@ -76,7 +77,10 @@ def test_the_status_for_machines_names_everything(address: DaemonAddress) -> Non
     }
     assert command("start", "--idle-timeout", "10 min")[0] == 0
     status: dict[str, Any] = json.loads(command("status", "--json")[1])
-    assert set(status) >= set(DaemonStatus.__dataclass_fields__)
+    table = (ROOT / "docs/daemon.md").read_text().partition("| field | meaning |")[2]
+    documented = set(re.findall(r"`(\w+)`", "".join(re.findall(r"(?m)^\|([^|]+)\|", table))))
+    assert documented <= set(status) | {"settings"}
+    assert len(documented) > 15
     assert status["running"]
     assert status["warm"]
     assert status["nodes"] == 0

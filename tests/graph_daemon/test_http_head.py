@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import gzip
 import re
 import socket
 
@@ -11,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.graph_daemon.http_head import CONSENT, LONGEST_BODY, LONGEST_HEAD
+from play_launch.graph_daemon.http_head import LONGEST_BODY, LONGEST_HEAD
 from tests.graph_daemon.test_http_server import run, serving
 
 HEAD = b"POST /ros2cli/ HTTP/1.1\r\n"
@@ -76,9 +75,7 @@ def status(data: bytes) -> int:
 pieces = st.lists(st.integers(1, 300), max_size=50) | st.lists(st.integers(1, 4), max_size=100)
 bodies = st.binary(max_size=2_000)
 ODD_HEADERS = (
-    b"Expect: 100-continue",
     b"Connection: close",
-    b"Content-Encoding: gzip",
     b"Content-Length: 5",
     b"Transfer-Encoding: chunked",
     b"Origin: null",
@@ -89,7 +86,6 @@ ODD_HEADERS = (
 )
 requests = st.one_of(
     bodies.map(request),
-    bodies.map(lambda body: request(gzip.compress(body, mtime=0), b"Content-Encoding: gzip")),
     st.builds(request, bodies, st.sampled_from(ODD_HEADERS), st.sampled_from(ODD_HEADERS)),
     st.builds(request, st.just(b"x" * LONGEST_BODY)),
 )
@@ -125,6 +121,7 @@ def test_whatever_comes_is_answered_the_same_however_it_is_cut(
         (HEAD + b" Folded: 1\r\n\r\n", 400),
         (HEAD + b"Content-Length : 1\r\n\r\n", 400),
         (HEAD + b"Content-Length: 1\r\nContent-Length: 2\r\n\r\n", 400),
+        (HEAD + b"Host: localhost\r\nHost: example.org\r\n\r\n", 400),
         (HEAD + b"Content-Length: -1\r\n\r\n", 400),
         (HEAD + b"Content-Length: 1e3\r\n\r\n", 400),
         (HEAD + "Content-Length: ٣\r\n\r\n".encode(), 400),
@@ -133,7 +130,7 @@ def test_whatever_comes_is_answered_the_same_however_it_is_cut(
         (b"POST /ros2cli/../ HTTP/1.1\r\nContent-Length: 0\r\n\r\n", 404),
         (b"POST /ros2cli/?x HTTP/1.1\r\nContent-Length: 0\r\n\r\n", 404),
         (HEAD + b"Transfer-Encoding: chunked\r\n\r\n", 501),
-        (HEAD + b"Content-Length: 0\r\nContent-Encoding: br\r\n\r\n", 501),
+        (HEAD + b"Content-Length: 0\r\nContent-Encoding: gzip\r\n\r\n", 501),
         (HEAD + b"\r\n", 411),
         (HEAD + b"Content-Length: %d\r\n\r\n" % (LONGEST_BODY + 1), 413),
         (HEAD + b"Content-Length: 999999999999999999\r\n\r\n", 413),
@@ -167,38 +164,6 @@ def test_the_client_says_whether_the_connection_is_kept(stream: bytes, keep: boo
     assert answers(2 * stream) == (2 * once if keep else once)
 
 
-def test_a_client_that_waits_to_send_its_body_is_asked_for_it() -> None:
-    stream = request(b"<x/>", b"Expect: 100-Continue")
-    assert answers(stream) == CONSENT + answer(b"<x/>")
-    # Before it has sent any of it.
-    assert answers(stream[: -len(b"<x/>")]) == CONSENT
-    old = request(b"<x/>", b"Expect: 100-continue", head=b"POST /ros2cli/ HTTP/1.0\r\n")
-    assert answers(old) == answer(b"<x/>", keep=False)
-    assert status(HEAD + b"Expect: 100-continue\r\nContent-Length: 9999999\r\n\r\n") == 413
-
-
-@given(st.binary(max_size=3_000))
-def test_a_packed_body_is_unpacked(body: bytes) -> None:
-    packed = gzip.compress(body)
-    assert answers(request(packed, b"Content-Encoding: gzip")) == answer(body)
-
-
-@pytest.mark.parametrize(
-    "packed",
-    [
-        gzip.compress(b"\0" * (LONGEST_BODY + 1)),
-        gzip.compress(b"\0" * 10_000_000),
-        gzip.compress(b"x")[:-3],
-        b"",
-        b"no gzip",
-    ],
-    # gzip puts the time into its header: the bytes are no name.
-    ids=["too large", "far too large", "cut", "empty", "no gzip"],
-)
-def test_a_packed_body_that_is_broken_or_too_large_is_rejected(packed: bytes) -> None:
-    assert status(request(packed, b"Content-Encoding: gzip")) == 400
-
-
 @pytest.mark.parametrize(
     "headers",
     [
@@ -213,10 +178,6 @@ def test_a_packed_body_that_is_broken_or_too_large_is_rejected(packed: bytes) ->
 )
 def test_what_a_page_of_the_web_sends_is_forbidden(headers: list[bytes]) -> None:
     assert status(request(b"<x/>", *headers)) == 403
-
-
-def test_two_hosts_are_no_request() -> None:
-    assert status(request(b"<x/>", b"Host: localhost", b"Host: example.org")) == 400
 
 
 @pytest.mark.parametrize(

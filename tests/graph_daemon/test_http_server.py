@@ -12,7 +12,6 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 
 import pytest
 
-from play_launch.graph_daemon.http_head import LONGEST_BODY
 from play_launch.graph_daemon.http_server import HttpServer, ServerLimits
 
 WAIT = 60.0
@@ -307,40 +306,6 @@ def test_what_is_held_for_all_clients_is_bounded() -> None:
     run(scenario)
 
 
-def test_bodies_that_are_begun_are_bounded_too() -> None:
-    async def scenario() -> None:
-        limits = ServerLimits(deadline=30, memory=10 * LONGEST_BODY)
-        async with serving(limits) as clients:
-            writers = []
-            for _ in range(50):
-                _, writer = await clients.connect()
-                writer.write(call(b"x" * LONGEST_BODY)[:-1])
-                await writer.drain()
-                writers.append(writer)
-            await clients.until(lambda: clients.server.resets >= 39)
-            assert clients.server.held <= limits.memory
-            await clients.ask()
-            for writer in writers:
-                writer.transport.abort()
-
-    run(scenario)
-
-
-def test_500_silent_clients_keep_nobody_waiting(capsys: pytest.CaptureFixture[str]) -> None:
-    async def scenario() -> None:
-        async with serving() as clients:
-            silent = await asyncio.gather(*(clients.connect() for _ in range(500)))
-            await clients.until(lambda: clients.server.connections >= 500)
-            took = sorted([await clients.ask() for _ in range(50)])
-            with capsys.disabled():
-                print(f"\nbeside 500 silent clients: longest {took[-1] * 1e3:.1f} ms of 50")
-            assert clients.server.resets == 0
-            for _, writer in silent:
-                writer.transport.abort()
-
-    run(scenario)
-
-
 def test_a_burst_of_clients_is_served_without_a_reset() -> None:
     async def scenario() -> None:
         async with serving() as clients:
@@ -369,25 +334,6 @@ def test_where_there_are_too_many_the_one_without_progress_goes() -> None:
             assert (await read_answer(reader)).endswith(ANSWER)
             for _, other in [*silent, *more, (reader, writer)]:
                 other.transport.abort()
-
-    run(scenario)
-
-
-def test_noise_is_answered_or_reset_and_never_ends_the_server() -> None:
-    import random
-
-    async def scenario() -> None:
-        noise = random.Random(1)
-        async with serving(ServerLimits(deadline=0.5, farewell=0.1)) as clients:
-            for _ in range(40):
-                reader, writer = await clients.connect()
-                with contextlib.suppress(ConnectionError):
-                    writer.write(noise.randbytes(noise.randrange(1, 20_000)))
-                    await writer.drain()
-                    if noise.random() < 0.5:
-                        await asyncio.wait_for(reader.read(100), 60)
-                writer.transport.abort()
-            await clients.ask()
 
     run(scenario)
 

@@ -14,17 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.graph_daemon import observer
 from play_launch.graph_daemon.contract import DaemonAddress
 from play_launch.graph_daemon.observer import (
-    LONGEST_POLL,
     ORPHAN_TIMEOUT,
-    POLL,
-    changes,
-    next_pause,
     observe_graph,
 )
 from play_launch.graph_daemon.port import (
@@ -62,36 +57,6 @@ class Heard:
     async def until(self, *, appeared: str = "", vanished: str = "") -> None:
         while not self.has(appeared, vanished):
             await asyncio.sleep(0.02)
-
-
-@given(names, names)
-def test_changes_lead_from_one_list_to_the_other(before: Counter[str], now: Counter[str]) -> None:
-    event = changes(before, now, 5)
-    if event is None:
-        assert before == now
-        return
-    reached = before + Counter(event.appeared)
-    reached.subtract(event.vanished)
-    assert +reached == now
-    assert event.nodes == now.total()
-    assert not set(event.appeared) & set(event.vanished)
-
-
-@given(st.lists(st.floats(0.0, 100.0), max_size=20))
-def test_at_rest_it_is_asked_seldom_and_in_a_storm_not_often(moments: list[float]) -> None:
-    """Each question takes time of the daemon, which is to need next to none at rest."""
-    pending = sorted(moments)
-    now, pause, looks = 0.0, POLL, 0
-    while now < 120.0:
-        changed = bool(pending) and pending[0] <= now
-        # What changed is seen before the longest pause is over.
-        assert not changed or now - pending[0] <= LONGEST_POLL
-        pending = [moment for moment in pending if moment > now]
-        pause = next_pause(pause, changed=changed)
-        assert POLL <= pause <= LONGEST_POLL
-        now += pause
-        looks += 1
-    assert looks <= 120.0 / LONGEST_POLL + 5 * (len(moments) + 1)
 
 
 @contextlib.asynccontextmanager

@@ -1,4 +1,4 @@
-"""Decisions without processes: settings that differ, and participants that are counted."""
+"""Decisions without processes: addresses, settings that differ, participants that are counted."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from play_launch.graph_daemon.contract import DaemonAddress, DomainError, daemon_address
 from play_launch.graph_daemon.port import COMPARED, compared_settings, differences
 from play_launch.graph_daemon.warm_up import (
     LONGEST_WARM_UP,
@@ -18,6 +19,20 @@ from play_launch.graph_daemon.warm_up import (
 )
 
 moments = st.lists(st.floats(0, 20), max_size=40).map(sorted)
+
+
+@given(st.integers(0, 232))
+def test_the_address_of_a_domain_is_that_of_ros2cli(domain: int) -> None:
+    address = daemon_address({"ROS_DOMAIN_ID": str(domain)})
+    assert address.url == f"http://127.0.0.1:{11511 + domain}/ros2cli/"
+    assert daemon_address({}) == daemon_address({"ROS_DOMAIN_ID": ""}) == DaemonAddress(0)
+
+
+@pytest.mark.parametrize("text", ["-1", "233", "x", "1.0", " 1", "+1", "1_0", "٣", "9" * 10_000])
+def test_what_is_no_domain_is_refused_by_name(text: str) -> None:
+    with pytest.raises(DomainError, match="ROS_DOMAIN_ID is a number from 0 to 232") as caught:
+        daemon_address({"ROS_DOMAIN_ID": text})
+    assert len(str(caught.value)) < 200
 
 
 def test_the_same_settings_do_not_differ() -> None:

@@ -102,14 +102,6 @@ def test_lists(ask: Ask, capsys: pytest.CaptureFixture[str], arguments: str, exp
     assert capsys.readouterr() == (expected, "")
 
 
-@pytest.mark.parametrize("group", ["node", "topic", "service"])
-def test_an_empty_graph_prints_nothing(
-    ask: Ask, capsys: pytest.CaptureFixture[str], group: str
-) -> None:
-    assert ask(group, "list", answers={method: [] for method in ANSWERS}) == 0
-    assert capsys.readouterr() == ("", "")
-
-
 def test_lists_as_json(ask: Ask, capsys: pytest.CaptureFixture[str]) -> None:
     assert ask("node", "list", "--json") == 0
     assert json.loads(capsys.readouterr().out) == [
@@ -347,19 +339,3 @@ def test_a_reader_that_has_seen_enough_is_no_error() -> None:
         assert process.wait(LIMIT) == 0
         process.stderr.close()
     assert err == "imported:\n"
-
-
-def test_help_lists_the_verbs_and_leads_to_them() -> None:
-    for arguments, text in (
-        (["--help"], "List nodes; show one."),
-        (["node", "--help"], "list"),
-        (["node", "info", "--help"], "--include-hidden"),
-    ):
-        outcome = subprocess.run(
-            [sys.executable, "-c", "from play_launch.cli.entry import main; main()", *arguments],
-            capture_output=True,
-            text=True,
-            timeout=LIMIT,
-            check=True,
-        )
-        assert text in outcome.stdout

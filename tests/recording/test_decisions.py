@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from play_launch.cli.rerun import RecordedInputs, Rerun
+from play_launch.cli.rerun import RecordedInputs, repeated
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue, TakenValues
 from play_launch.container.cdr.messages import STATE_EVENT
 from play_launch.recording import topics
@@ -67,9 +67,9 @@ def test_a_simulated_life_follows_from_what_was_written(
 ) -> None:
     decisions, published = lived(seed, monkeypatch)
     again = [row for each in decisions for row in read(written([each]))]
-    rerun = Rerun(RecordedInputs(again, published, "", 0), None)
-    assert list(rerun.differences()) == []
-    assert (rerun.inputs, rerun.events) == (len(decisions) - 1, len(published))
+    found = repeated(RecordedInputs(again, published, "", 0), None, None)
+    assert found["differences"] == []
+    assert (found["inputs"], found["states"]) == (len(decisions) - 1, len(published))
 
 
 def test_secrets_and_what_decides_nothing_are_left_out() -> None:
@@ -122,5 +122,5 @@ def test_wrong_bits_are_noticed_or_lead_to_something_else(monkeypatch: pytest.Mo
             unreadable += 1
             continue
         rows = [*decisions[:at], *wrong, *decisions[at + 1 :]]
-        list(Rerun(RecordedInputs(rows, published, "", 0), None).differences())
+        repeated(RecordedInputs(rows, published, "", 0), None, None)
     assert unreadable > 50

@@ -109,7 +109,6 @@ class Display:
         self.publish(event, _NO_VIEW, _NO_VIEW)
 
     def close(self) -> None:
-        """Show waiting events and restore the terminal."""
         with self._lock:
             self._closing = True
         self._end.set()
@@ -217,7 +216,6 @@ class LiveStyle(Style):
         return _REDRAW if self._view.waiting or self._view.total == 0 else None
 
     def close(self) -> None:
-        """Remove the view; the summary follows."""
         if self._live is not None:
             self._live.stop()
 
@@ -312,7 +310,6 @@ def container_status(container: ContainerView, now_ns: int = 0) -> str:
 
 
 def is_complete(container: ContainerView) -> bool:
-    """Whether a container runs and has all of its nodes."""
     return container.state is ContainerState.RUNNING and container.loaded == container.total
 
 
@@ -332,7 +329,6 @@ def process_status(process: ProcessEvent) -> str:
 
 
 def ending(process: ProcessEvent) -> str:
-    """Describe the end of a process."""
     return str(Exit(code=process.exit_code, signal=process.signal))
 
 

@@ -123,7 +123,6 @@ def _was_stopping(name: str, view: SystemView) -> bool:
 
 
 def missed_line(missed: int) -> DisplayLine:
-    """Make the line about skipped lines."""
     text = f"skipped {missed} lines (the terminal is too slow); they are in the recording"
     return DisplayLine(time.time_ns(), OWN_NAME, text, WARN)
 

@@ -71,7 +71,6 @@ class Summary(Struct, frozen=True):
         return "\n".join(lines)
 
     def _tables(self) -> Iterator[tuple[str, list[tuple[_Cell, ...]]]]:
-        """Yield the titles and rows of each table."""
         view = self.view
         rows: list[tuple[_Cell, ...]] = []
         for each in view.containers.values():
@@ -109,7 +108,6 @@ class Summary(Struct, frozen=True):
         yield "throttled by cgroup limits|CPU time|throttled|OOM kills|pids_max hits", rows
 
     def as_object(self, exit_code: int) -> dict[str, object]:
-        """Return the same for programs."""
         recording = asdict(self.recording)
         return {
             "event": "summary",

@@ -161,7 +161,6 @@ class TopApp(App[ScreenEnd]):
         self._is_stale = True
 
     def on_missed(self, events: int) -> None:
-        """Count events that were not sent."""
         self._missed += events
 
     def on_outcome(self, done: model.Confirmation, failure: str) -> None:
@@ -262,7 +261,6 @@ class TopApp(App[ScreenEnd]):
         self.push_screen(Question(asked.question), answered)
 
     def filter_names(self, pattern: str | None) -> None:
-        """Show only rows that match a pattern."""
         self.pattern = pattern or ""
         self._arrange()
 
@@ -270,7 +268,6 @@ class TopApp(App[ScreenEnd]):
 
     @property
     def selected(self) -> model.TopRow | None:
-        """The selected row."""
         return self.shown[self._index()] if self.shown else None
 
     @property

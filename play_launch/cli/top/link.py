@@ -38,7 +38,6 @@ class SessionLink:
         self.poll()
 
     def close(self) -> None:
-        """Stop reading."""
         asyncio.get_running_loop().remove_reader(self._client.fileno())
 
     @property
@@ -47,7 +46,6 @@ class SessionLink:
         return 0.0 if self._rows is None else time.monotonic() - self._requested_at
 
     def poll(self) -> None:
-        """Request rows if they may have changed."""
         is_old = time.monotonic() - self._requested_at >= _INTERVAL
         if self._rows is not None or not (self._is_stale or is_old):
             return

@@ -75,7 +75,6 @@ class TopRow(Struct, frozen=True):
 
 
 def rows_of(result: Any) -> list[TopRow]:
-    """Parse the answer to ``ps``; raises ValueError."""
     return msgspec.convert(result, list[TopRow], strict=False)
 
 
@@ -118,7 +117,6 @@ class Order(StrEnum):
 
 
 def following(choice: _Choice) -> _Choice:
-    """Return the next member of an enumeration, in a circle."""
     members = list(type(choice))
     return members[(members.index(choice) + 1) % len(members)]
 
@@ -243,7 +241,6 @@ class Confirmation(Struct, frozen=True):
 
 
 def suits(operation: str, row: TopRow) -> bool:
-    """Whether an operation is one of this kind of row."""
     return (operation in _FOR_NODES) == (row.kind == COMPONENT)
 
 
@@ -305,7 +302,6 @@ class LogFilter(Struct, frozen=True):
     """None: lines of all, the supervisor included."""
 
     def wants(self, line: LogLine) -> bool:
-        """Whether a line is shown."""
         if line.level < self.level:
             return False
         if self.subject is None:

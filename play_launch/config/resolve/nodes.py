@@ -262,7 +262,6 @@ def _composable_node(
 
 
 def resolve_process(at: Cursor, shared: SharedContext) -> ProcessConfig | None:
-    """Return the process at `at`, or None after problems were reported."""
     section = validate_mapping(ProcessSection, at)
     if not isinstance(at.node, Mapping):
         return None

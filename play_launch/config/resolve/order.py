@@ -12,7 +12,6 @@ from play_launch.config.dependency import (
     DependencyGraph,
     OnTimeout,
     StartRule,
-    UnitCondition,
 )
 from play_launch.config.model import ManagedConfig, OnExit
 from play_launch.config.problems import excerpt
@@ -41,7 +40,6 @@ class StartRules:
         self._managed: dict[str, ManagedConfig] = {}
 
     def declare(self, unit: str, at: Cursor, delay: float | None) -> None:
-        """Record the conditions in the entry of a member or node."""
         dependencies = at.value("depends_on")
         if dependencies is not None or delay:
             self._declared.append((unit, dependencies, delay or 0.0))
@@ -53,7 +51,6 @@ class StartRules:
         at: Cursor,
         section: ComposableNodeSection | ProcessSection,
     ) -> None:
-        """Record the goal of a managed node, if it has one."""
         timeout = section.transition_timeout
         if section.autostart is None:
             if timeout is not None:
@@ -158,7 +155,6 @@ class _Units:
         self.named |= {name: [name] for name in self.members}
 
     def find(self, name: str, at: Cursor) -> str | None:
-        """Return the member or node; report a name that is unknown, or that several have."""
         full_name = f"/{name.removeprefix('/')}"
         found = self.named.get(full_name, [])
         if len(found) == 1:
@@ -177,7 +173,6 @@ class _Units:
         return None
 
     def condition(self, unit: str, section: DependencySection, at: Cursor) -> tuple[Condition, str]:
-        """Return condition and subject; report a condition that can never be met."""
         if section.log is not None:
             if section.condition is not None:
                 at.at_key("log").problem("give either condition or log")
@@ -188,26 +183,24 @@ class _Units:
         process = self._processes.get(unit)
         condition = section.condition
         if condition is None:
-            condition = UnitCondition.LOADED if process is None else UnitCondition.STARTED
+            condition = Condition.LOADED if process is None else Condition.STARTED
         why = self._never_holds(unit, process, condition)
         if why:
             at.at_key("condition").problem(f"{condition} {why}")
-        if process is not None and condition is UnitCondition.LOADED:
+        if process is not None and condition is Condition.LOADED:
             return Condition.NODE, unit
-        return Condition(condition.value), ""
+        return condition, ""
 
-    def _never_holds(
-        self, unit: str, process: ProcessConfig | None, condition: UnitCondition
-    ) -> str:
-        if condition is UnitCondition.EXITED:
+    def _never_holds(self, unit: str, process: ProcessConfig | None, condition: Condition) -> str:
+        if condition is Condition.EXITED:
             if process is None:
                 return "is for processes"
             if process.on_exit is OnExit.RESTART:
                 return f"never holds: {unit} is started again whenever it exits (on_exit: restart)"
-        if condition is UnitCondition.ACTIVE and process is None and unit in self.members:
+        if condition is Condition.ACTIVE and process is None and unit in self.members:
             return "is for managed nodes, not for a container"
-        needs_name = condition is UnitCondition.ACTIVE or (
-            condition is UnitCondition.LOADED and process is not None
+        needs_name = condition is Condition.ACTIVE or (
+            condition is Condition.LOADED and process is not None
         )
         return "needs the name of the node; give it a name" if needs_name and "/[" in unit else ""
 

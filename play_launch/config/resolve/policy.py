@@ -250,7 +250,6 @@ class GroupRules:
     """`composable_node_loading.cgroups`: which control groups there are, and limits of nodes."""
 
     def __init__(self, section: CgroupsSection | None, at: Cursor | None) -> None:
-        """Read the section; `at` is its location, None without one."""
         section = section or CgroupsSection()
         self.policy = GroupPolicy(
             enabled=section.enabled,
@@ -278,18 +277,15 @@ class GroupRules:
                 alias.problem("is another name of cpuset, which is given, too")
 
     def defaults(self, base: Resources, process: ProcessKind) -> Resources:
-        """Return `base` with the limits of all nodes."""
         return _with_groups(base, self._defaults, process)
 
     def of_node(self, base: Resources, names: Iterable[str], process: ProcessKind) -> Resources:
-        """Return `base` with the limits of a node, given by its name or full name."""
         for name in names:
             self._unused.pop(name, None)
         given = [self._of_nodes[name] for name in names if name in self._of_nodes]
         return _with_groups(base, given, process)
 
     def refuse_unused(self) -> None:
-        """Report names that no isolated node has."""
         for at in self._unused.values():
             at.problem(
                 "no composable node of an isolated container is called so; give limits of a "

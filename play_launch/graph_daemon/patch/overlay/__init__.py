@@ -31,6 +31,5 @@ class Hook:
 
 
 def install() -> None:
-    """Put the hook in front, once."""
     if not any(isinstance(finder, Hook) for finder in sys.meta_path):
         sys.meta_path.insert(0, Hook())

@@ -20,7 +20,6 @@ _NEXT = "_play_launch_next_check"
 
 
 def apply(module: ModuleType) -> None:
-    """Change one of the two modules."""
     if module.__name__ == "ros2cli.daemon":
         if not callable(module.pretty_print_call):
             raise TypeError("pretty_print_call is no function")

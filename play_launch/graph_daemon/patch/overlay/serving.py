@@ -1,25 +1,25 @@
 """``ros2cli.xmlrpc.local_server``: a server that one slow client cannot stop.
 
 Upstream takes one connection after the other and reads each to its end, so that a client which
-connects and sends nothing stops all others, and its queue holds five. Here connections are read and
-written as they are ready, a request is handled once it is all there, and the answers about the
-graph are given again for a fifth of a second. The client closes first: otherwise the port would be
-taken for a minute (TIME_WAIT), or a large answer cut off by the reset that upstream ends with.
+connects and sends nothing stops all others, and its queue holds five. Here each connection has a
+thread, the functions are called one at a time, and the answers about the graph are given again for
+a fifth of a second. The client closes first: otherwise the port would be taken for a minute
+(TIME_WAIT), or a large answer cut off by the reset that upstream ends with.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
-import io
 import re
-import selectors
+import select
+import socket
 import sys
+import threading
 import time
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    import socket
     from collections.abc import Callable
     from types import ModuleType
 
@@ -32,28 +32,27 @@ CACHE_TIME = 0.2
 ADDRESS_TIME = 30.0
 """Seconds for which the machine's own addresses are remembered."""
 REQUEST_TIME = 10.0
-"""Seconds that a client has to send its request and take its answer."""
+"""Seconds that a client may send nothing of its request, or take nothing of its answer."""
 CLOSING_TIME = 1.0
 """Seconds that a client has to close after its answer."""
 MOST_CONNECTIONS = 256
 MOST_ANSWERS = 128
-LARGEST_HEAD = 64 * 1024
 LARGEST_BODY = 1024 * 1024
 
-_LOOP = "_play_launch_loop"
-_LENGTH = re.compile(rb"^content-length:[ \t]*(\d{1,9})[ \t]*\r?$", re.IGNORECASE | re.MULTILINE)
-_ORIGIN_OR_HOST = re.compile(rb"\n(origin|host)[ \t]*:[ \t]*([^\r\n]*?)[ \t]*\r?\n", re.IGNORECASE)
-_OUR_HOST = re.compile(rb"(127\.0\.0\.1|localhost|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
+_STATE = "_play_launch_state"
+_OUR_HOST = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
 _CHUNK = 64 * 1024
-_TOO_LARGE = b"HTTP/1.0 413 Request Entity Too Large\r\nContent-Length: 0\r\n\r\n"
-_FORBIDDEN = b"HTTP/1.0 403 Forbidden\r\nContent-Length: 0\r\n\r\n"
 
 
 def apply(module: ModuleType) -> None:
     """Change the class of servers, and the function that lists the machine's addresses."""
     server = module.LocalXMLRPCServer
     addresses = Addresses(module.get_local_ipaddrs)
-    verify, close = server.verify_request, server.server_close
+    verify, close, dispatch = (
+        server.verify_request,
+        server.server_close,
+        server._marshaled_dispatch,  # noqa: SLF001 - documented as the method to override
+    )
 
     @functools.wraps(verify)
     def verify_request(self: Any, request: Any, client_address: Any) -> bool:
@@ -65,34 +64,134 @@ def apply(module: ModuleType) -> None:
 
     @functools.wraps(close)
     def server_close(self: Any) -> None:
-        loop = self.__dict__.pop(_LOOP, None)
-        if loop is not None:
-            loop.close()
+        state = self.__dict__.pop(_STATE, None)
         close(self)
+        end = time.monotonic() + CLOSING_TIME
+        for thread in tuple(state.answering) if state else ():
+            thread.join(max(0.0, end - time.monotonic()))
+
+    @functools.wraps(dispatch)
+    def marshaled_dispatch(self: Any, data: bytes, *arguments: Any) -> bytes:
+        return state_of(self).answer(data, lambda: dispatch(self, data, *arguments))
 
     module.get_local_ipaddrs = addresses.current  # type: ignore[attr-defined]
     server.verify_request = verify_request
     server.server_close = server_close
+    server._marshaled_dispatch = marshaled_dispatch  # noqa: SLF001 - as above
     server.handle_request = handle_request
+    server.process_request = process_request
     server.request_queue_size = BACKLOG
 
 
 def handle_request(self: Any) -> None:
-    """Serve the connections that are ready; return after a heartbeat at the latest.
+    """Accept a client, if one comes within a heartbeat.
 
     Calls the server's ``handle_timeout`` as upstream's method does: when no request was answered
     for ``timeout`` seconds. Also when rclpy was shut down by a signal, which the daemon of Humble
     does not look for itself.
     """
-    loop = self.__dict__.get(_LOOP)
-    if loop is None:
-        # Not when the server is made: that is another process, which hands it over.
-        loop = self.__dict__[_LOOP] = Loop(self)
+    state = state_of(self)
     limit = self.timeout
-    loop.turn(HEARTBEAT if limit is None else min(HEARTBEAT, limit))
-    idle = time.monotonic() - loop.last_answer
+    wait = HEARTBEAT if limit is None else min(HEARTBEAT, limit)
+    if select.select([self.socket], [], [], wait)[0]:
+        self._handle_request_noblock()
+    idle = time.monotonic() - state.last_answer
     if (limit is not None and idle >= limit) or _rclpy_has_ended():
         self.handle_timeout()
+
+
+def process_request(self: Any, request: socket.socket, client_address: Any) -> None:
+    """Serve a client in a thread; where there are too many, the oldest one is disconnected."""
+    state = state_of(self)
+    if len(state.clients) >= MOST_CONNECTIONS:
+        oldest = next(iter(state.clients))
+        del state.clients[oldest]
+        with contextlib.suppress(OSError):
+            oldest.shutdown(socket.SHUT_RDWR)
+    state.clients[request] = None
+    threading.Thread(
+        target=_serve, args=(self, state, request, client_address), daemon=True
+    ).start()
+
+
+def state_of(server: Any) -> State:
+    """Return the state of a server, which it gets in the process that serves."""
+    state: State | None = server.__dict__.get(_STATE)
+    if state is None:
+        state = server.__dict__[_STATE] = State()
+        # The process that made the server may not have had this overlay.
+        server.socket.listen(BACKLOG)
+        server.socket.setblocking(False)
+    return state
+
+
+class State:
+    """Clients and answers of one server."""
+
+    def __init__(self) -> None:
+        self.last_answer = time.monotonic()
+        self.clients: dict[socket.socket, None] = {}
+        """The oldest is the first."""
+        self.answering: set[threading.Thread] = set()
+        self._calling = threading.Lock()
+        self._answers: dict[bytes, tuple[float, bytes]] = {}
+
+    def answer(self, request: bytes, call: Callable[[], bytes]) -> bytes:
+        """Return the answer to a call, which may be a fifth of a second old."""
+        with self._calling:
+            self.last_answer = time.monotonic()
+            known = self._answers.get(request)
+            if known is not None and self.last_answer < known[0]:
+                return known[1]
+            answer = call()
+            # From the end of the call: it may have taken long.
+            self.last_answer = time.monotonic()
+            about_graph = b"<methodName>get_" in request or b"<methodName>count_" in request
+            # A fault is near the beginning.
+            if about_graph and b"<fault>" not in answer[:1024]:
+                if len(self._answers) >= MOST_ANSWERS:
+                    self._answers.clear()
+                self._answers[request] = (self.last_answer + CACHE_TIME, answer)
+            return answer
+
+
+def _serve(server: Any, state: State, request: socket.socket, client_address: Any) -> None:
+    try:
+        _guarded(server.RequestHandlerClass)(request, client_address, server)
+        end = time.monotonic() + CLOSING_TIME
+        request.settimeout(CLOSING_TIME)
+        while request.recv(_CHUNK) and time.monotonic() < end:
+            pass
+    except OSError:
+        pass
+    except Exception:  # noqa: BLE001 - as upstream's server does
+        server.handle_error(request, client_address)
+    finally:
+        state.clients.pop(request, None)
+        server.close_request(request)
+        state.answering.discard(threading.current_thread())
+
+
+@functools.lru_cache
+def _guarded(handler: Any) -> Any:
+    """Return a handler that refuses pages of the web and large requests, and does not wait long."""
+
+    class Guarded(handler):  # type: ignore[misc]
+        timeout = REQUEST_TIME
+
+        def do_POST(self) -> None:  # noqa: N802 - the standard library's name
+            state_of(self.server).answering.add(threading.current_thread())
+            length = self.headers.get("Content-Length", "")
+            hosts = self.headers.get_all("Host", ())
+            # Only browsers send an origin; a name made to point to this machine is not ours.
+            if "Origin" in self.headers or not all(map(_OUR_HOST.fullmatch, hosts)):
+                self.send_error(403)
+            elif length.isdecimal() and (len(length) > 9 or int(length) > LARGEST_BODY):
+                self.send_error(413)
+            else:
+                super().do_POST()
+
+    return Guarded
 
 
 def _rclpy_has_ended() -> bool:
@@ -119,208 +218,3 @@ class Addresses:
     def forget(self) -> None:
         """Look again next time."""
         self._until = 0.0
-
-
-class Connection:
-    """One client: what it has sent so far, and what it is still to get."""
-
-    def __init__(self, sock: socket.socket, address: Any) -> None:
-        self.socket = sock
-        self.address = address
-        self.received = bytearray()
-        self.answer = memoryview(b"")
-        self.is_answered = False
-        self.deadline = time.monotonic() + REQUEST_TIME
-
-
-class Loop:
-    """Serves the connections of one server, in one thread."""
-
-    def __init__(self, server: Any) -> None:
-        self.last_answer = time.monotonic()
-        self._server = server
-        self._connections: dict[socket.socket, Connection] = {}
-        self._answers: dict[bytes, tuple[float, bytes]] = {}
-        self._selector = selectors.DefaultSelector()
-        # The process that made the server may not have had this overlay.
-        server.socket.listen(BACKLOG)
-        server.socket.setblocking(False)
-        self._selector.register(server.socket, selectors.EVENT_READ)
-
-    def turn(self, wait: float) -> None:
-        """Wait up to ``wait`` seconds, and serve the connections that are ready."""
-        for key, events in self._selector.select(wait):
-            if key.fileobj is self._server.socket:
-                self._accept()
-            elif key.fileobj in self._connections:
-                self._serve(self._connections[key.fileobj], events)
-        now = time.monotonic()
-        for connection in [c for c in self._connections.values() if c.deadline <= now]:
-            self._drop(connection)
-
-    def close(self) -> None:
-        """Close all connections."""
-        for connection in list(self._connections.values()):
-            self._drop(connection)
-        self._selector.close()
-
-    def _accept(self) -> None:
-        # A bounded number, so that those already here have their turn.
-        for _ in range(64):
-            try:
-                sock, address = self._server.get_request()
-            except OSError:
-                return
-            if not self._server.verify_request(sock, address):
-                sock.close()
-                continue
-            if len(self._connections) >= MOST_CONNECTIONS:
-                # The one that has had the most time.
-                self._drop(min(self._connections.values(), key=lambda c: c.deadline))
-            sock.setblocking(False)
-            self._connections[sock] = Connection(sock, address)
-            self._selector.register(sock, selectors.EVENT_READ)
-
-    def _serve(self, connection: Connection, events: int) -> None:
-        try:
-            if events & selectors.EVENT_WRITE:
-                self._write(connection)
-            else:
-                self._read(connection)
-        except BlockingIOError:
-            pass
-        except OSError:
-            self._drop(connection)
-
-    def _read(self, connection: Connection) -> None:
-        data = connection.socket.recv(_CHUNK)
-        if not data:
-            self._drop(connection)
-            return
-        if connection.is_answered:
-            return  # What comes after the request is not looked at.
-        connection.received += data
-        length = _request_length(connection.received)
-        if length is None:
-            connection.answer = memoryview(_TOO_LARGE)
-        elif 0 < length <= len(connection.received):
-            request = bytes(connection.received[:length])
-            forbidden = _is_of_the_web(request)
-            answer = _FORBIDDEN if forbidden else self._answer(request, connection.address)
-            connection.answer = memoryview(answer)
-        else:
-            return
-        connection.is_answered = True
-        connection.received.clear()
-        if not connection.answer:
-            self._drop(connection)
-            return
-        self._write(connection)
-
-    def _write(self, connection: Connection) -> None:
-        with contextlib.suppress(BlockingIOError):
-            sent = connection.socket.send(connection.answer)
-            connection.answer = connection.answer[sent:]
-        if connection.answer:
-            self._selector.modify(connection.socket, selectors.EVENT_WRITE)
-            return
-        connection.deadline = time.monotonic() + CLOSING_TIME
-        self._selector.modify(connection.socket, selectors.EVENT_READ)
-
-    def _answer(self, request: bytes, address: Any) -> bytes:
-        now = time.monotonic()
-        self.last_answer = now
-        known = self._answers.get(request)
-        if known is not None and now < known[0]:
-            return known[1]
-        exchange = Exchange(request)
-        try:
-            self._server.finish_request(exchange, address)
-        except Exception:  # noqa: BLE001 - as upstream's server does
-            self._server.handle_error(exchange, address)
-        answer = exchange.answer()
-        # From the end of the call: it may have taken long.
-        self.last_answer = time.monotonic()
-        if _asks_for_the_graph(request) and _is_no_failure(answer):
-            self._remember(request, answer, self.last_answer)
-        return answer
-
-    def _remember(self, request: bytes, answer: bytes, now: float) -> None:
-        if len(self._answers) >= MOST_ANSWERS:
-            self._answers = {key: kept for key, kept in self._answers.items() if now < kept[0]}
-            if len(self._answers) >= MOST_ANSWERS:
-                self._answers.clear()
-        self._answers[request] = (now + CACHE_TIME, answer)
-
-    def _drop(self, connection: Connection) -> None:
-        del self._connections[connection.socket]
-        self._selector.unregister(connection.socket)
-        connection.socket.close()
-
-
-class Exchange:
-    """What the standard library's request handler takes for a connection: memory only."""
-
-    def __init__(self, request: bytes) -> None:
-        self._request = io.BytesIO(request)
-        self._answer = _Kept()
-
-    def makefile(self, mode: str, _buffering: int = -1) -> io.BytesIO:
-        """Give the request to read, or the answer to write."""
-        return self._request if "r" in mode else self._answer
-
-    def sendall(self, data: bytes) -> None:
-        """Add to the answer."""
-        self._answer.write(data)
-
-    def settimeout(self, seconds: float | None) -> None:
-        """Memory is never late."""
-
-    def setsockopt(self, level: int, option: int, value: object) -> None:
-        """Memory has no options."""
-
-    def answer(self) -> bytes:
-        """Return what was written."""
-        return self._answer.getvalue()
-
-
-class _Kept(io.BytesIO):
-    """Memory that survives the handler's closing of its files."""
-
-    def close(self) -> None:
-        pass
-
-
-def _request_length(received: bytearray) -> int | None:
-    """Return the length of the request: 0 while its head is incomplete, None if too large."""
-    end = received.find(b"\r\n\r\n")
-    if end < 0:
-        return 0 if len(received) < LARGEST_HEAD else None
-    if end > LARGEST_HEAD:
-        return None
-    # To the end of the last line of the head, so that the pattern finds its end.
-    length = _LENGTH.search(received, 0, end + 1)
-    body = int(length[1]) if length else 0
-    return end + 4 + body if body <= LARGEST_BODY else None
-
-
-def _is_of_the_web(request: bytes) -> bool:
-    """Whether a page of the web asks, which may not, and not shut the daemon down.
-
-    Only browsers send an origin; and a name that was made to point to this machine is not ours.
-    """
-    # Each line with the end of the one before it, which is the end of a match, too.
-    head = request[: request.find(b"\r\n\r\n") + 2].replace(b"\n", b"\n\n")
-    return any(
-        name.lower() == b"origin" or not _OUR_HOST.fullmatch(value)
-        for name, value in _ORIGIN_OR_HOST.findall(head)
-    )
-
-
-def _asks_for_the_graph(request: bytes) -> bool:
-    return b"<methodName>get_" in request or b"<methodName>count_" in request
-
-
-def _is_no_failure(answer: bytes) -> bool:
-    # A fault is near the beginning, unless it is long and packed; then it is kept for a moment.
-    return answer.startswith(b"HTTP/1.0 200 ") and b"<fault>" not in answer[:1024]
