@@ -102,7 +102,7 @@ def _print_stream(
 
 
 def _print(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
+    sys.stdout.write(f"{text}\n")  # unlike `say`, it ends what follows when the reader has gone
     sys.stdout.flush()
 
 

@@ -7,15 +7,14 @@ those of ``ros2 node list`` and the like.
 from __future__ import annotations
 
 import json
-import sys
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from play_launch import ExitCode
 from play_launch.cli import options
-from play_launch.cli.output import fail, note, printable, redirect_to_devnull, warn
+from play_launch.cli.output import fail, note, printable, say, warn
 from play_launch.graph_daemon.contract import daemon_address
 from play_launch.graph_daemon.graph_client import (
     DEFAULT_TIMEOUT,
@@ -76,7 +75,7 @@ def node_list(
         ]
         names = [each.full_name for each in nodes]
         if as_json and not count:
-            _print_json([{**each._asdict(), "full_name": each.full_name} for each in nodes])
+            say(json.dumps([{**each._asdict(), "full_name": each.full_name} for each in nodes]))
         else:
             _print_lines([str(len(names))] if count else names)
         if twice := sorted({name for name, after in pairwise(names) if name == after}):
@@ -116,7 +115,7 @@ def node_info(
             fail(f"the node {wanted} has exited meanwhile ({error.text})", ExitCode.NODE_FAILED)
         if as_json:
             values = {key: [each._asdict() for each in found] for key, found in sections.items()}
-            _print_json({**same[0]._asdict(), "full_name": wanted, **values})
+            say(json.dumps({**same[0]._asdict(), "full_name": wanted, **values}))
             return
         _print_lines([wanted])
         for title, key, _ in _SECTIONS:
@@ -146,7 +145,7 @@ def _add_list(group: typer.Typer, noun: str) -> None:
             if count:
                 _print_lines([str(len(shown))])
             elif as_json:
-                _print_json([entry._asdict() for entry in shown])
+                say(json.dumps([entry._asdict() for entry in shown]))
             elif show_types:
                 _print_lines(f"{entry.name} [{', '.join(entry.types)}]" for entry in shown)
             else:
@@ -172,18 +171,12 @@ def _asked(show: Callable[[GraphClient], None], call_timeout: float, *, no_start
     address = daemon_address()
     client = GraphClient(address, call_timeout)
     try:
-        try:
-            show(client)
-        except NoDaemonError as error:
-            if no_start:
-                text = f"{error}; start one with 'play-launch daemon start'"
-                fail(text, ExitCode.NODE_FAILED)
-            _start(address)
-            show(client)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # The reader has enough (`| head`).
-        redirect_to_devnull(sys.stdout)
+        show(client)
+    except NoDaemonError as error:
+        if no_start:
+            fail(f"{error}; start one with 'play-launch daemon start'", ExitCode.NODE_FAILED)
+        _start(address)
+        show(client)
 
 
 def _start(address: DaemonAddress) -> None:
@@ -203,12 +196,9 @@ def _visible(found: list[Named], *, with_hidden: bool) -> list[Named]:
     ]
 
 
-def _print_json(value: Any) -> None:
-    sys.stdout.write(f"{json.dumps(value)}\n")
-
-
 def _print_lines(lines: Iterable[str]) -> None:
-    sys.stdout.writelines(f"{_one_line(line)}\n" for line in lines)
+    if text := "\n".join(map(_one_line, lines)):
+        say(text)
 
 
 def _one_line(text: str) -> str:

@@ -11,7 +11,7 @@ import typer
 from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.connection import connected
-from play_launch.cli.output import report, warn
+from play_launch.cli.output import report, say, warn
 from play_launch.control.protocol import Code, OperationError
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def dump(
         _chosen = _nodes(client, nodes or [])
         _asked(client, timeout, read)
     if as_json:
-        sys.stdout.write(f"{json.dumps(found)}\n")
+        say(json.dumps(found))
     elif found:
         import yaml  # noqa: PLC0415 - not for the others
 
@@ -139,8 +139,8 @@ def _asked(client: ControlClient, timeout: float, request: Callable[[ParameterCl
 
 def _print_values(values: dict[str, Any], *, as_json: bool) -> None:
     if as_json:
-        sys.stdout.write(f"{json.dumps(values)}\n")
+        say(json.dumps(values))
         return
     for name, value in values.items():
         text = value if isinstance(value, str) else json.dumps(value)
-        sys.stdout.write(f"{name}: {text}\n" if len(values) > 1 else f"{text}\n")
+        say(f"{name}: {text}" if len(values) > 1 else text)

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from play_launch.cli import options
 from play_launch.cli.connection import connected
-from play_launch.cli.output import duration, printable, size, table
+from play_launch.cli.output import duration, printable, say, size, table
 
 _TITLES: Final = ("NAME", "KIND", "STATE", "PID", "UPTIME", "RESTARTS", "CPU", "MEMORY")
 _LIFECYCLE: Final = {"absent": "", "asked": "its lifecycle state is not known yet"}
@@ -25,10 +25,10 @@ def ps(
     with connected(session) as client:
         rows = client.ask("ps", {"names": names or []})
     if as_json:
-        sys.stdout.write(f"{json.dumps(rows)}\n")
+        say(json.dumps(rows))
         return
     width = os.get_terminal_size(sys.stdout.fileno()).columns if sys.stdout.isatty() else None
-    sys.stdout.writelines(f"{line}\n" for line in lines(rows, width))
+    say("\n".join(lines(rows, width)))
 
 
 def lines(rows: list[dict[str, Any]], width: int | None = None) -> list[str]:

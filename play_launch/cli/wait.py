@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
@@ -12,7 +11,7 @@ import typer
 from play_launch import ExitCode
 from play_launch.cli import options as cli_options
 from play_launch.cli.connection import connected
-from play_launch.cli.output import report
+from play_launch.cli.output import report, say
 
 if TYPE_CHECKING:
     from play_launch.control.client import ControlClient
@@ -76,9 +75,9 @@ def wait(
             "names": up,
             "missing": missing,
         }
-        sys.stdout.write(f"{json.dumps(values)}\n")
+        say(json.dumps(values))
     elif not missing:
-        sys.stdout.write(f"{len(up)} {condition} after {seconds:.1f} s\n")
+        say(f"{len(up)} {condition} after {seconds:.1f} s")
     if missing:
         report(f"not {condition}: {', '.join(missing)}")
         return ExitCode.TIMEOUT

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 from msgspec.structs import replace
 
-from play_launch.config.model import ContainerType, Isolation, OnCrash, RestartLimits
+from play_launch.config.model import (
+    ContainerConfig,
+    ContainerType,
+    Isolation,
+    OnCrash,
+    RestartLimits,
+)
 from play_launch.config.resources import (
     LIMIT_KEYS,
     NO_LIMIT,
@@ -18,6 +24,7 @@ from play_launch.config.resources import (
     Scheduler,
     cpu_text,
 )
+from play_launch.config.schema import LoadingSection
 from play_launch.config.section import validate_mapping
 from play_launch.config.sections import CgroupsSection, GroupLimitsSection
 from play_launch.config.tree import Mapping
@@ -25,11 +32,7 @@ from play_launch.config.tree import Mapping
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from play_launch.config.schema import (
-        ComposableNodeSection,
-        ContainerSection,
-        LoadingSection,
-    )
+    from play_launch.config.schema import ComposableNodeSection, ContainerSection
     from play_launch.config.sections import (
         LimitsSection,
         ResourcesSection,
@@ -46,17 +49,11 @@ ISOLATED_KEYS: Final = (
     "on_crash",
 )
 """Keys of containers that only isolated ones read."""
-_OF_CONTAINER: Final = frozenset(
-    {
-        "container_type",
-        "thread_num",
-        "isolation",
-        "memory_domains",
-        "core_dumps",
-        "loading_timeout",
-        "probe_timeout",
-    }
-)
+_OF_CONTAINER: Final = LoadingSection.keys.keys() & {*ContainerConfig.__struct_fields__} - {
+    "resources",
+    "restart",
+}
+"""Keys of a container that `composable_node_loading` has the defaults of; the two are refined."""
 _SHARED_MEMORY: Final = (
     "the kernel accounts the memory of a node that shares it to its container; give it to the "
     "container, or use isolation: process"
