@@ -411,6 +411,16 @@ class ReplayConfig(Struct, frozen=True, kw_only=True):
     managed: Mapping[str, ManagedConfig] = _EMPTY
 
     @property
+    def parts(self) -> dict[str, ContainerConfig | ProcessConfig | ComposableNodeConfig]:
+        """Containers and processes by full name, composable nodes by the text of their keys."""
+        nodes = [node for each in self.containers for node in each.composable_nodes]
+        return {
+            **{each.full_name: each for each in self.containers},
+            **{each.full_name: each for each in self.nodes},
+            **{str(each.key): each for each in nodes},
+        }
+
+    @property
     def units(self) -> dict[str, tuple[str, ...]]:
         """The members by full name, as declared, each with the units that are its nodes."""
         return {

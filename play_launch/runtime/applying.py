@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.config.node_key import NodeKey
 from play_launch.runtime.commands import StartError
-from play_launch.supervisor.change import declared
 from play_launch.supervisor.inputs import ChangeRequested, ParametersSet
 from play_launch.supervisor.plan import Applied, Need, PlanKind, Result, StepOutcome, after, plan
 from play_launch.supervisor.view import absent
@@ -41,7 +40,6 @@ class Applying:
         self._outcomes: list[StepOutcome] = []
         self._on_outcome: Callable[[StepOutcome], None] = lambda _: None
         self._target = system.config
-        self._ended = asyncio.Event()
         self.idle = asyncio.Event()
         """Set unless something is being applied."""
         self.idle.set()
@@ -126,10 +124,9 @@ class Applying:
             problem = str(error)
         if not problem:
             self._target = target
-            self._ended.clear()
             self._system.use_rules(target)
             self._system.post(ChangeRequested(target, found.phases(), limit))
-            await self._ended.wait()
+            await self._system.until(lambda: self._system.world.change is None)
         done = {each.step.id for each in self._outcomes}
         outcomes = self._outcomes + [
             StepOutcome(step=step, result=Result.SKIPPED, reason=problem)
@@ -148,10 +145,6 @@ class Applying:
         self._outcomes.append(outcome)
         self._on_outcome(outcome)
 
-    def change_ended(self) -> None:
-        """Note that all steps are over."""
-        self._ended.set()
-
     def set_parameters(self, step: Step) -> None:
         """Set the parameters that a step names."""
         self._system.begin_task(partial(self._set, step))
@@ -161,7 +154,7 @@ class Applying:
         names = {
             change.path.removeprefix(prefix) for change in step.changes if change.need is Need.SET
         }
-        config = declared(self._target, step)
+        config = self._target.parts[step.name]
         chosen = [each for each in config.parameters if each.name in names]  # type: ignore[union-attr]
         member = node = step.name
         if step.kind is PlanKind.COMPONENT:

@@ -28,7 +28,7 @@ from play_launch.runtime.watch import ContainerWatch
 from play_launch.supervisor.events import ComponentEvent, NodeState
 from play_launch.supervisor.inputs import Faulty, Greeted, HealthReported, NodeReported
 from play_launch.supervisor.outcome import Cause
-from play_launch.supervisor.transitions import IDLE, NODE_TABLE, NodeFact
+from play_launch.supervisor.transitions import IDLE, NodeFact, next_state
 from play_launch.supervisor.world import Hello, Phase, is_wanted
 
 if TYPE_CHECKING:
@@ -252,16 +252,15 @@ class ContainerActor(ProcessActor):
         probe = partial(probe_nodes, self._system, self.config, tuple(nodes))
         self._probes.append(self._begin_task(probe))
 
-    def cancel_probes(self) -> None:
-        """End the scratch processes."""
+    def stop(self, start: int, *, asks: bool, reason: str) -> None:
+        """Stop its process, from gentle to hard, and end its scratch processes."""
         for scope in self._probes:
             scope.cancel()
         self._probes.clear()
+        super().stop(start, asks=asks, reason=reason)
 
 
 def _is_its_end(node: Node, fact: NodeFact) -> bool:
     """Whether a node that is told this does not exist any more in its container."""
-    if fact is NodeFact.STATUS_UNKNOWN and node.resent:
-        fact = NodeFact.STATUS_UNKNOWN_AGAIN
-    state, _ = NODE_TABLE[node.state][fact]
+    state, _ = next_state(node, fact)
     return state is not node.state and state in IDLE

@@ -13,14 +13,7 @@ import anyio
 
 from play_launch.config.dependency import ABOUT_GRAPH, Condition
 from play_launch.supervisor.events import ManagedState, OutputLine
-from play_launch.supervisor.goals import ManagedAction
-from play_launch.supervisor.inputs import (
-    FilesSeen,
-    GoalReported,
-    GraphSeen,
-    LineSeen,
-    ManagedInput,
-)
+from play_launch.supervisor.inputs import Found, GoalReported, ManagedInput
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -35,6 +28,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
+_FILES: Final = frozenset({Condition.FILE})
 _FILE_POLL: Final = 0.1
 """Seconds between two checks of files that are waited for."""
 _INPUT_OF_STATE: Final = {
@@ -45,14 +39,10 @@ _INPUT_OF_STATE: Final = {
 }
 """By the numbers of ``lifecycle_msgs/msg/State``; the others are on the way between these."""
 _TRANSITIONS: Final = {
-    ManagedAction.CONFIGURE: (1, ManagedInput.IS_INACTIVE),
-    ManagedAction.ACTIVATE: (3, ManagedInput.IS_ACTIVE),
+    ManagedState.CONFIGURING: ("configure", 1, ManagedInput.IS_INACTIVE),
+    ManagedState.ACTIVATING: ("activate", 3, ManagedInput.IS_ACTIVE),
 }
-"""Numbers of ``lifecycle_msgs/msg/Transition``, and where they lead."""
-_UNDER_WAY: Final = {
-    ManagedState.CONFIGURING: ManagedAction.CONFIGURE,
-    ManagedState.ACTIVATING: ManagedAction.ACTIVATE,
-}
+"""Names and numbers of ``lifecycle_msgs/msg/Transition``, and where they lead."""
 _CHECKS: Final = (1.0, 2.0, 4.0, 8.0)
 """Seconds between checks of an idle node. A state that it entered before DDS had
 connected its topic with us is never reported; that takes up to 3.3 s after its services exist,
@@ -69,10 +59,8 @@ class Outside:
         self._system = system
         self._graph: GraphSource | None = None
         self._files: frozenset[str] = frozenset()
-        self._found_files: frozenset[str] = frozenset()
         self._watched: frozenset[tuple[Condition, str]] = frozenset()
-        self._found_in_graph: frozenset[tuple[Condition, str]] = frozenset()
-        self._written: set[tuple[str, str]] = set()
+        self._met: frozenset[tuple[Condition, str, str]] = frozenset()
         self._patterns: dict[str, dict[str, re.Pattern[str]]] = {}
         self._more_files = asyncio.Event()
 
@@ -81,8 +69,8 @@ class Outside:
         self._patterns.clear()
         for rule in rules:
             for each in rule.dependencies:
-                is_written = (each.unit, each.subject) in self._written
-                if each.condition is Condition.LOG and not is_written:
+                is_met = (each.condition, each.unit, each.subject) in self._met
+                if each.condition is Condition.LOG and not is_met:
                     patterns = self._patterns.setdefault(each.unit, {})
                     patterns[each.subject] = re.compile(each.subject)
 
@@ -93,11 +81,11 @@ class Outside:
         if files != self._files:
             self._files = files
             self._more_files.set()
-            self._see_files(self._found_files & files)
+            self._see_files(files.intersection(path for _, _, path in self._met))
         watched = frozenset(each for each in wanted if each[0] in ABOUT_GRAPH)
         if watched != self._watched:
             self._watched = watched
-            self._see_graph(self._found_in_graph)
+            self._see_graph(frozenset((kind, name) for kind, _, name in self._met))
             if self._graph is None:
                 self._graph = self._system.ros.watch_graph(self._see_graph)
             self._graph.watch(watched)
@@ -113,15 +101,20 @@ class Outside:
                 await anyio.sleep(_FILE_POLL)
 
     def _see_files(self, found: frozenset[str]) -> None:
-        if found != self._found_files:
-            self._found_files = found
-            self._system.post(FilesSeen(found))
+        self._see(_FILES, frozenset((Condition.FILE, path) for path in found))
 
     def _see_graph(self, found: frozenset[tuple[Condition, str]]) -> None:
-        found &= self._watched
-        if found != self._found_in_graph:
-            self._found_in_graph = found
-            self._system.post(GraphSeen(found))
+        self._see(ABOUT_GRAPH, found & self._watched)
+
+    def _see(self, kinds: frozenset[Condition], found: frozenset[tuple[Condition, str]]) -> None:
+        """Note what is found of some kinds of conditions."""
+        met = frozenset(each for each in self._met if each[0] not in kinds)
+        self._post(met | {(kind, "", subject) for kind, subject in found})
+
+    def _post(self, met: frozenset[tuple[Condition, str, str]]) -> None:
+        if met != self._met:
+            self._met = met
+            self._system.post(Found(met))
 
     async def close(self) -> None:
         """Cancel all watches."""
@@ -135,8 +128,7 @@ class Outside:
         patterns = self._patterns[event.process]
         for text in [text for text, pattern in patterns.items() if pattern.search(event.text)]:
             del patterns[text]
-            self._written.add((event.process, text))
-            self._system.post(LineSeen(event.process, text))
+            self._post(self._met | {(Condition.LOG, event.process, text)})
 
 
 async def _exists(path: str) -> bool:
@@ -150,7 +142,7 @@ class _Conversation:
 
     def __init__(self, instance: int, scope: anyio.CancelScope) -> None:
         self.instance = instance
-        self.to_do: asyncio.Queue[ManagedAction] = asyncio.Queue()
+        self.to_do: asyncio.Queue[ManagedState] = asyncio.Queue()
         self.scope = scope
 
 
@@ -167,11 +159,11 @@ class Conversations:
         scope = self._system.begin_task(partial(self._converse, unit))
         self._open[unit] = _Conversation(instance, scope)
 
-    def transit(self, unit: str, instance: int, action: str) -> None:
+    def transit(self, unit: str, instance: int, to: ManagedState) -> None:
         """Request a transition."""
         talk = self._open.get(unit)
         if talk is not None and talk.instance == instance:
-            talk.to_do.put_nowait(ManagedAction(action))
+            talk.to_do.put_nowait(to)
 
     def end(self, unit: str) -> None:
         """End the conversation with a node, if there is one."""
@@ -205,8 +197,8 @@ class Conversations:
             if said is not None:
                 known = said
                 now = self._system.world.goals.get(unit, goal).state
-                under_way = _UNDER_WAY.get(now)
-                how = f"its transition {under_way} led to" if under_way else "it is in"
+                under_way = _TRANSITIONS.get(now)
+                how = f"its transition {under_way[0]} led to" if under_way else "it is in"
                 reason = f"{how} the state {said.removeprefix('is_')}"
                 self._report(unit, talk, said, reason)
 
@@ -228,17 +220,17 @@ class Conversations:
                 reason = f"{reason} within {limit:g} s"
                 self._report(unit, talk, ManagedInput.OVERDUE, reason)
             while True:
-                action = await _next_action(talk, client, check, limit)
-                said, reason = await _change(client, action, limit)
-                if said is _TRANSITIONS[action][1]:
+                to = await _next_transition(talk, client, check, limit)
+                said, reason = await _change(client, to, limit)
+                if said is _TRANSITIONS[to][2]:
                     known = said
                 self._report(unit, talk, said, reason)
 
 
-async def _next_action(
+async def _next_transition(
     talk: _Conversation, client: ManagedNodeClient, on_state: Callable[[int], None], limit: float
-) -> ManagedAction:
-    """Give the next action; check the state of an idle node a few times."""
+) -> ManagedState:
+    """Give the next transition; check the state of an idle node a few times."""
     for pause in _CHECKS:
         with anyio.move_on_after(pause):
             return await talk.to_do.get()
@@ -248,12 +240,12 @@ async def _next_action(
 
 
 async def _change(
-    client: ManagedNodeClient, action: ManagedAction, limit: float
+    client: ManagedNodeClient, to: ManagedState, limit: float
 ) -> tuple[ManagedInput, str]:
     """Request a transition and give it ``limit`` seconds; give its result, and why it failed."""
-    transition, leads_to = _TRANSITIONS[action]
+    name, transition, leads_to = _TRANSITIONS[to]
     with anyio.move_on_after(limit):
         if await client.change(transition):
             return leads_to, ""
-        return ManagedInput.REFUSED, f"its transition {action} failed"
-    return ManagedInput.OVERDUE, f"its transition {action} took longer than {limit:g} s"
+        return ManagedInput.REFUSED, f"its transition {name} failed"
+    return ManagedInput.OVERDUE, f"its transition {name} took longer than {limit:g} s"

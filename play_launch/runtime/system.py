@@ -197,28 +197,23 @@ class System:
                 actor.stop(effect.start, asks=effect.asks, reason=effect.reason)
             case inputs.Load():
                 self._container(effect.node.container).load(effect.node, effect.attempt)
-            case inputs.Cancel():
-                self._container(effect.container).send(Cancel(unique_id=effect.unique_id))
             case inputs.Unload():
-                self._container(effect.container).send(Unload(unique_id=effect.unique_id))
+                request = Cancel if effect.is_loading else Unload
+                self._container(effect.container).send(request(unique_id=effect.unique_id))
             case inputs.Query():
                 self._container(effect.container).query(effect.about)
             case inputs.Probe():
                 self._container(effect.container).probe(effect.nodes)
-            case inputs.CancelProbes():
-                self._container(effect.container).cancel_probes()
             case inputs.Drive():
                 self._conversations.begin(effect.unit, effect.instance)
             case inputs.Transit():
-                self._conversations.transit(effect.unit, effect.instance, effect.action)
+                self._conversations.transit(effect.unit, effect.instance, effect.to)
             case inputs.Release():
                 self._conversations.end(effect.unit)
             case inputs.SetParameters():
                 self.applying.set_parameters(effect.step)
             case StepOutcome():
                 self.applying.step_ended(effect)
-            case inputs.ChangeEnded():
-                self.applying.change_ended()
             case inputs.Log():
                 logger = _reported if effect.is_shown_otherwise else _log
                 logger.log(logging.ERROR if effect.is_error else logging.WARNING, "%s", effect.text)

@@ -1,4 +1,7 @@
-"""Conditions of starts and loads, as functions of the world: which are met, pending, impossible.
+"""Conditions of starts and loads, as functions of the world.
+
+The state of a condition is a text: empty when it is met, None when it is pending, else why it
+cannot be met unless an operator intervenes.
 
 Conditions are for the first start. Once a unit was released, or an operator has started it, its
 automatic restarts wait for nothing.
@@ -6,8 +9,7 @@ automatic restarts wait for nothing.
 
 from __future__ import annotations
 
-from enum import StrEnum, auto
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
@@ -15,44 +17,15 @@ from play_launch.config.dependency import Condition, Dependency, DependencyGraph
 from play_launch.config.model import Autostart
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import ManagedState, NodeState
-from play_launch.supervisor.world import (
-    INACTIVE,
-    Node,
-    Phase,
-    Process,
-    Wait,
-    World,
-    is_wanted,
-)
+from play_launch.supervisor.outcome import described
+from play_launch.supervisor.world import INACTIVE, Node, Phase, Process, Wait, is_wanted
 
 if TYPE_CHECKING:
     from play_launch.config.dependency import StartRule
     from play_launch.supervisor.reducer import Reduction
+    from play_launch.supervisor.world import World
 
 
-class ConditionState(StrEnum):
-    """State of a condition."""
-
-    MET = auto()
-    PENDING = auto()
-    IMPOSSIBLE = auto()
-    """It cannot be met unless an operator intervenes."""
-
-
-class Evaluation(NamedTuple):
-    """State of a condition; the reason is empty unless it is IMPOSSIBLE."""
-
-    state: ConditionState
-    reason: str = ""
-
-
-MET: Final = Evaluation(ConditionState.MET)
-PENDING: Final = Evaluation(ConditionState.PENDING)
-
-_EXISTS: Final = {
-    Condition.STARTED: frozenset({NodeState.LOADING, NodeState.LOADED}),
-    Condition.LOADED: frozenset({NodeState.LOADED}),
-}
 _GONE: Final = {
     NodeState.LOAD_FAILED: "it failed to load",
     NodeState.CRASHED: "it crashed",
@@ -74,50 +47,57 @@ def rule_of(world: World, unit: Process | Node) -> StartRule | None:
     return world.config.start_rules.get(unit_key(unit))
 
 
-class Readiness(NamedTuple):
-    """Whether a unit may start."""
-
-    may_start: bool
-    wait: Wait | None
-    failure: str = ""
-    """Why it never may."""
-
-
-def readiness(world: World, unit: Process | Node, now: float) -> Readiness:
-    """Evaluate the conditions of a unit that is to start; its wait begins now, if it has not."""
-    rule = rule_of(world, unit)
+def may_start(step: Reduction, unit: Process | Node) -> str | None:
+    """Evaluate the conditions of a unit that is to start, as one; its wait begins or ends."""
+    world, now, rule = step.world, step.now, rule_of(step.world, unit)
     if rule is None:
-        return Readiness(may_start=True, wait=None)
+        world.put(unit, wait=None)
+        return ""
     wait = unit.wait or Wait(since=now, report_due=now + world.limits.report_interval)
     pending: list[Dependency] = []
     waived: list[str] = []
     times: list[float] = []
     for dependency in rule.dependencies:
-        state, reason = condition_state(world, dependency)
-        if state is ConditionState.MET:
+        state = condition_state(world, dependency)
+        if state == "":
             continue
-        if state is ConditionState.PENDING:
+        if state is None:
             deadline = _deadline(world, wait, dependency)
             if deadline is None or now < deadline:
                 pending.append(dependency)
-                if deadline is not None:
-                    times.append(deadline)
+                times += [] if deadline is None else [deadline]
                 continue
-            reason = f"not within {dependency.timeout:g} s"
-        text = f"it waited for {dependency}: {reason}"
+            state = f"not within {dependency.timeout:g} s"
+        text = f"it waited for {dependency}: {state}"
         if dependency.on_timeout is OnTimeout.FAIL:
-            return Readiness(may_start=False, wait=None, failure=text)
+            world.put(unit, wait=None)
+            return text
         waived.append(text)
     if pending:
         text = f"waits for {', '.join(map(str, pending))}"
         after = replace(wait, met_since=None, text=text, next_at=min(times, default=None))
-        return Readiness(may_start=False, wait=after)
+        world.put(unit, wait=_reported(step, unit, after))
+        return None
     met_since = now if wait.met_since is None else wait.met_since
-    if now >= met_since + rule.delay:
-        return Readiness(may_start=True, wait=replace(wait, waived="; ".join(waived)))
-    text = f"waits for its delay of {rule.delay:g} s"
-    after = replace(wait, met_since=met_since, text=text, next_at=met_since + rule.delay)
-    return Readiness(may_start=False, wait=after)
+    if now < met_since + rule.delay:
+        text = f"waits for its delay of {rule.delay:g} s"
+        after = replace(wait, met_since=met_since, text=text, next_at=met_since + rule.delay)
+        world.put(unit, wait=_reported(step, unit, after))
+        return None
+    if waived:
+        step.log(f"{unit_key(unit)} starts all the same: {'; '.join(waived)}")
+    world.put(unit, wait=None, released_at=now)
+    return ""
+
+
+def _reported(step: Reduction, unit: Process | Node, wait: Wait) -> Wait:
+    """Warn of a unit that waits for long."""
+    if unit.wait is None or step.now < wait.report_due:
+        return wait
+    name = unit.name if isinstance(unit, Process) else unit.key.name
+    text = f"{name} has waited for {step.now - wait.since:.0f} s: it {wait.text}"
+    step.log(text, is_shown_otherwise=True)
+    return replace(wait, report_due=step.now + step.world.limits.report_interval)
 
 
 def _deadline(world: World, wait: Wait, dependency: Dependency) -> float | None:
@@ -139,90 +119,81 @@ def find_unit(world: World, name: str) -> Process | Node | None:
     return world.nodes.get(NodeKey.parsed(name)) if ":/" in name else None
 
 
-def condition_state(world: World, dependency: Dependency) -> Evaluation:
+def condition_state(world: World, dependency: Dependency) -> str | None:
     condition, name = dependency.condition, dependency.unit
+    if (condition, name, dependency.subject) in world.met:
+        return ""
     if not name:
-        return MET if _is_met_outside(world, dependency) else PENDING
+        return None
     if condition is Condition.ACTIVE and (goal := world.goals.get(name)) is not None:
         if goal.state is ManagedState.ACTIVE:
-            return MET
+            return ""
         if goal.state is ManagedState.FAILED:
-            return Evaluation(ConditionState.IMPOSSIBLE, goal.reason)
+            return goal.reason or "it failed"
     unit = find_unit(world, name)
     match unit:
         case None:
-            return _impossible("it is no longer in the configuration")
+            return "it is no longer in the configuration"
         case Node():
-            if condition is Condition.ACTIVE:
-                found = _of_node(world, unit, Condition.LOADED)
-                return PENDING if found.state is ConditionState.MET else found
-            return _of_node(world, unit, condition)
+            state = _of_node(world, unit, is_enough_begun=condition is Condition.STARTED)
+            return None if condition is Condition.ACTIVE and state == "" else state
         case Process():
             if condition in {Condition.STARTED, Condition.EXITED}:
                 return _of_process(world, unit, condition)
             if condition is Condition.LOADED and unit.container is not None:
                 return _of_all_nodes(world, unit)
-            if condition is Condition.LOG and (name, dependency.subject) in world.lines:
-                return MET
             return _of_output(world, unit)
 
 
-def _is_met_outside(world: World, dependency: Dependency) -> bool:
-    if dependency.condition is Condition.FILE:
-        return dependency.subject in world.files
-    return (dependency.condition, dependency.subject) in world.graph
-
-
-def _of_process(world: World, process: Process, condition: Condition) -> Evaluation:
+def _of_process(
+    world: World, process: Process, condition: Condition = Condition.STARTED
+) -> str | None:
     if process.phase is Phase.RUNNING:
-        return MET if condition is Condition.STARTED else PENDING
+        return "" if condition is Condition.STARTED else None
     if process.phase is Phase.GAVE_UP:
-        return _impossible("it gave up", process.reason)
-    is_leaving = process.phase in {Phase.STOPPED, Phase.STOPPING}
+        return described("it gave up", process.reason)
     if process.phase is Phase.STOPPED and process.exit is not None and process.container is None:
-        if process.exit.is_ok:
-            return MET
-        return _impossible("it ended", process.exit.text)
-    if is_leaving and process.generation <= process.attempted:
-        return _impossible("it is stopped", process.reason)
-    return PENDING if is_wanted(world, process) else _impossible("it is stopped", process.reason)
+        return "" if process.exit.is_ok else f"it ended: {process.exit.text}"
+    is_leaving = process.phase in {Phase.STOPPED, Phase.STOPPING} and not process.is_requested
+    if is_leaving or not is_wanted(world, process):
+        return described("it is stopped", process.reason)
+    return None
 
 
-def _of_node(world: World, node: Node, condition: Condition) -> Evaluation:
-    if node.state in _EXISTS[condition]:
-        return MET
-    found = _of_process(world, world.processes[node.key.container], Condition.STARTED)
-    if found.state is ConditionState.IMPOSSIBLE:
-        return _impossible("its container", found.reason)
+def _of_node(world: World, node: Node, *, is_enough_begun: bool = False) -> str | None:
+    if node.state is NodeState.LOADED or (is_enough_begun and node.state is NodeState.LOADING):
+        return ""
+    if container := _of_process(world, world.processes[node.key.container]):
+        return f"its container: {container}"
     returns = node.next_at is not None and not node.gives_up
-    if node.state in _GONE and not returns and node.generation <= node.attempted:
-        return _impossible(_GONE[node.state], node.reason)
-    return PENDING
+    if node.state in _GONE and not returns and not node.is_requested:
+        return described(_GONE[node.state], node.reason)
+    return None
 
 
-def _of_all_nodes(world: World, container: Process) -> Evaluation:
-    result = _of_process(world, container, Condition.STARTED)
+def unit_state(world: World, unit: Process | Node) -> str | None:
+    """Evaluate whether a unit is up, a container with its nodes."""
+    if isinstance(unit, Node):
+        return _of_node(world, unit)
+    return _of_process(world, unit) if unit.container is None else _of_all_nodes(world, unit)
+
+
+def _of_all_nodes(world: World, container: Process) -> str | None:
+    result = _of_process(world, container)
     for node in world.nodes_of(container.name):
-        found = _of_node(world, node, Condition.LOADED)
-        if ConditionState.IMPOSSIBLE is found.state is not result.state:
-            return _impossible(node.key.name, found.reason)
-        if found.state is ConditionState.PENDING and result.state is ConditionState.MET:
-            result = PENDING
+        state = _of_node(world, node)
+        if state and not result:
+            return f"{node.key.name}: {state}"
+        if state is None and result == "":
+            result = None
     return result
 
 
-def _of_output(world: World, process: Process) -> Evaluation:
+def _of_output(world: World, process: Process) -> str | None:
     """Evaluate what a process does while it runs, and has not done: a line, a state."""
-    found = _of_process(world, process, Condition.STARTED)
-    if found.state is ConditionState.MET and process.is_at_rest:
-        return _impossible("it ended")
-    if found.state is ConditionState.MET or not process.is_at_rest:
-        return PENDING  # its last lines are still to be read
-    return found
-
-
-def _impossible(what: str, why: str = "") -> Evaluation:
-    return Evaluation(ConditionState.IMPOSSIBLE, f"{what}: {why}" if why else what)
+    if not process.is_at_rest:
+        return None  # its last lines are still to be read
+    return "it ended" if (state := _of_process(world, process)) == "" else state
 
 
 def awaited_dependencies(world: World) -> tuple[Dependency, ...]:
@@ -255,13 +226,12 @@ def has_arrived(world: World, unit: Process | Node) -> bool:
     key = unit_key(unit)
     if key in world.arrived:
         return True
-    condition = Condition.STARTED if isinstance(unit, Process) else Condition.LOADED
-    state = condition_state(world, Dependency(condition=condition, unit=key)).state
+    state = _of_process(world, unit) if isinstance(unit, Process) else _of_node(world, unit)
     goal = world.goals.get(key)
-    if state is ConditionState.MET and goal is not None and goal.config.autostart is not None:
+    if state == "" and goal is not None and goal.config.autostart is not None:
         is_enough = goal.config.autostart is Autostart.CONFIGURE
         return goal.state in _GOAL_REACHED or (is_enough and goal.state is ManagedState.INACTIVE)
-    return state is not ConditionState.PENDING
+    return state is not None
 
 
 def pending_units(world: World) -> tuple[str, ...]:
@@ -284,8 +254,7 @@ def nothing_is_left(world: World) -> bool:
     if world.change is not None or any(name in world.dismissed for name in world.processes):
         return False
     return all(
-        process.is_at_rest
-        and not (is_wanted(world, process) and process.generation > process.attempted)
+        process.is_at_rest and not (is_wanted(world, process) and process.is_requested)
         for process in world.processes.values()
     )
 
@@ -294,12 +263,3 @@ def has_ended(world: World) -> bool:
     return world.is_stopping and all(
         process.phase in INACTIVE and process.is_at_rest for process in world.processes.values()
     )
-
-
-def report_wait(step: Reduction, name: str, before: Wait | None, wait: Wait) -> Wait:
-    """Warn of a unit that waits for long."""
-    if before is None or step.now < wait.report_due:
-        return wait
-    text = f"{name} has waited for {step.now - wait.since:.0f} s: it {wait.text}"
-    step.log(text, is_shown_otherwise=True)
-    return replace(wait, report_due=step.now + step.world.limits.report_interval)

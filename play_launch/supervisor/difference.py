@@ -62,8 +62,15 @@ def events_between(
     # A goal has no place of its own.
     ordered = sorted(changed, key=lambda key: (world.places.get(key, -1), str(key)))
     names = [key for key in ordered if isinstance(key, str)]
+    processes: list[tuple[Process | None, Process]] = []
     for name in names:
-        yield from _process_events(before.processes.get(name), world, name, stamp_ns)
+        was, process = before.processes.get(name), world.processes.get(name)
+        if was is not None and (process is None or _kind(was) is not _kind(process)):
+            yield Withdrawn(stamp_ns=stamp_ns, kind=_kind(was), key=name)
+            was = None
+        if process is not None and process is not was:
+            processes.append((was, process))
+            yield from _process(was, process, stamp_ns)
     requested = []
     for key in [key for key in ordered if not isinstance(key, str)]:
         old, node = before.nodes.get(key), world.nodes.get(key)
@@ -77,34 +84,16 @@ def events_between(
                 unloaded = replace(old, state=NodeState.UNLOADED, reason="")
                 yield from _node(old, unloaded, now, stamp_ns)
             yield Withdrawn(stamp_ns=stamp_ns, kind=SubjectKind.NODE, key=str(key))
-    for name in names:
-        old_process, process = before.processes.get(name), world.processes.get(name)
-        if process is not None and process is not old_process:
-            yield from _after_nodes(_same_kind(old_process, process), process, stamp_ns)
+    for was, process in processes:
+        yield from _after_nodes(was, process, stamp_ns)
     for node in requested:  # their causes are published first
         yield from _node(before.nodes.get(node.key), node, now, stamp_ns)
     for name in names:
         yield from _goal_events(before.goals.get(name), world.goals.get(name), stamp_ns)
 
 
-def _process_events(
-    old: Process | None, world: World, name: str, stamp_ns: int
-) -> Iterator[RunEvent]:
-    process = world.processes.get(name)
-    if process is None:
-        if old is not None:
-            yield _withdrawn(old, stamp_ns)
-        return
-    if old is not None and _same_kind(old, process) is None:
-        yield _withdrawn(old, stamp_ns)
-    if process is not old:
-        yield from _process(_same_kind(old, process), process, stamp_ns)
-
-
-def _same_kind(old: Process | None, new: Process) -> Process | None:
-    """Give what had the name before, unless it was a container and is a process, or vice versa."""
-    is_same = old is not None and (old.container is None) is (new.container is None)
-    return old if is_same else None
+def _kind(process: Process) -> SubjectKind:
+    return SubjectKind.PROCESS if process.container is None else SubjectKind.CONTAINER
 
 
 def _goal_events(old: Goal | None, new: Goal | None, stamp_ns: int) -> Iterator[RunEvent]:
@@ -119,11 +108,6 @@ def _goal_events(old: Goal | None, new: Goal | None, stamp_ns: int) -> Iterator[
             state=new.state,
             reason=new.reason,
         )
-
-
-def _withdrawn(process: Process, stamp_ns: int) -> Withdrawn:
-    kind = SubjectKind.PROCESS if process.container is None else SubjectKind.CONTAINER
-    return Withdrawn(stamp_ns=stamp_ns, kind=kind, key=process.name)
 
 
 def _process(old: Process | None, new: Process, stamp_ns: int) -> Iterator[RunEvent]:

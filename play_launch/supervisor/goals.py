@@ -6,14 +6,12 @@ brings a node to the state that ``autostart`` requests, again with each start or
 
 from __future__ import annotations
 
-from enum import StrEnum, auto
-from typing import TYPE_CHECKING, Final, assert_never
+from typing import TYPE_CHECKING, Final
 
 from play_launch.config.model import Autostart
 from play_launch.supervisor.conditions import find_unit
 from play_launch.supervisor.events import ManagedState, NodeState
 from play_launch.supervisor.inputs import Drive, Log, ManagedInput, Release, Transit
-from play_launch.supervisor.transitions import complete
 from play_launch.supervisor.world import Node, Phase, Process
 
 if TYPE_CHECKING:
@@ -24,80 +22,65 @@ if TYPE_CHECKING:
     from play_launch.supervisor.world import Goal, World
 
 
-class ManagedAction(StrEnum):
-    """What follows from an input besides the state."""
+State, Said = ManagedState, ManagedInput
+_Answers = dict[ManagedInput, ManagedState]
 
-    ASK = auto()
-    """Query its state."""
-    LEAVE = auto()
-    """End the conversation with it."""
-    CONFIGURE = auto()
-    ACTIVATE = auto()
-    REPORT_FAILED = auto()
-
-
-State, Said, Do = ManagedState, ManagedInput, ManagedAction
-_Answers = dict[ManagedInput, tuple[ManagedState, *tuple[ManagedAction, ...]]]
-
-_ASK: Final = (State.ASKED, Do.LEAVE, Do.ASK)
-_GONE: Final = (State.ABSENT, Do.LEAVE)
-_FAILED: Final = (State.FAILED, Do.REPORT_FAILED)
 _IS: Final[_Answers] = {
-    Said.IS_UNCONFIGURED: (State.UNCONFIGURED,),
-    Said.IS_INACTIVE: (State.INACTIVE,),
-    Said.IS_ACTIVE: (State.ACTIVE,),
-    Said.IS_FINALIZED: (State.FINALIZED,),
+    Said.IS_UNCONFIGURED: State.UNCONFIGURED,
+    Said.IS_INACTIVE: State.INACTIVE,
+    Said.IS_ACTIVE: State.ACTIVE,
+    Said.IS_FINALIZED: State.FINALIZED,
 }
-_SETTLED: Final[_Answers] = {Said.UP: _ASK, Said.GONE: _GONE, **_IS}
+_EXISTS: Final[_Answers] = {Said.UP: State.ASKED, Said.GONE: State.ABSENT}
+_SETTLED: Final[_Answers] = {**_EXISTS, **_IS}
 """Without a transition under way; other clients may change the state."""
 _WAITING: Final[_Answers] = {
     **_SETTLED,
-    Said.IS_FINALIZED: _FAILED,
-    Said.REFUSED: _FAILED,
-    Said.OVERDUE: _FAILED,
+    Said.IS_FINALIZED: State.FAILED,
+    Said.REFUSED: State.FAILED,
+    Said.OVERDUE: State.FAILED,
 }
-_CONFIGURE: Final = (State.CONFIGURING, Do.CONFIGURE)
-_ACTIVATE: Final = (State.ACTIVATING, Do.ACTIVATE)
 
-_TABLE: Final[Mapping[ManagedState, _Answers]] = {
-    State.ABSENT: {Said.UP: (State.ASKED, Do.ASK)},
-    State.ASKED: {**_WAITING, Said.IS_UNCONFIGURED: _CONFIGURE, Said.IS_INACTIVE: _ACTIVATE},
+TABLE: Final[Mapping[ManagedState, _Answers]] = {
+    State.ABSENT: {Said.UP: State.ASKED},
+    State.ASKED: {
+        **_WAITING,
+        Said.IS_UNCONFIGURED: State.CONFIGURING,
+        Said.IS_INACTIVE: State.ACTIVATING,
+    },
     # The state before the transition may be reported late.
     State.CONFIGURING: {
         **_WAITING,
-        Said.IS_UNCONFIGURED: (State.CONFIGURING,),
-        Said.IS_INACTIVE: _ACTIVATE,
+        Said.IS_UNCONFIGURED: State.CONFIGURING,
+        Said.IS_INACTIVE: State.ACTIVATING,
     },
     State.ACTIVATING: {
         **_WAITING,
-        Said.IS_UNCONFIGURED: _FAILED,
-        Said.IS_INACTIVE: (State.ACTIVATING,),
+        Said.IS_UNCONFIGURED: State.FAILED,
+        Said.IS_INACTIVE: State.ACTIVATING,
     },
     **dict.fromkeys((State.UNCONFIGURED, State.INACTIVE, State.ACTIVE, State.FINALIZED), _SETTLED),
     # An operator may request the transition by hand.
     State.FAILED: {
-        Said.UP: _ASK,
-        Said.GONE: _GONE,
-        Said.IS_INACTIVE: (State.INACTIVE,),
-        Said.IS_ACTIVE: (State.ACTIVE,),
+        **_EXISTS,
+        Said.IS_INACTIVE: State.INACTIVE,
+        Said.IS_ACTIVE: State.ACTIVE,
     },
 }
-TABLE: Final = complete(ManagedInput, _TABLE)
+"""The state that follows; an input that is not in a row changes nothing."""
 
 
-def next_state(
-    state: ManagedState, said: ManagedInput, goal: Autostart | None
-) -> tuple[ManagedState, tuple[ManagedAction, ...]]:
+def next_state(state: ManagedState, said: ManagedInput, goal: Autostart | None) -> ManagedState:
     """Apply one input; without a goal the node is only watched."""
-    then, actions = TABLE[state][said]
+    then = TABLE[state].get(said, state)
     if then is State.ACTIVATING and state is not then and goal is not Autostart.ACTIVATE:
-        return State.INACTIVE, ()
+        return State.INACTIVE
     if goal is None:
         if then is State.CONFIGURING:
-            return State.UNCONFIGURED, ()
+            return State.UNCONFIGURED
         if then is State.FAILED:
-            return _IS[said][0] if said in _IS else state, ()
-    return then, actions
+            return _IS.get(said, state)
+    return then
 
 
 def settle(step: Reduction, name: str) -> None:
@@ -140,19 +123,20 @@ def reported(step: Reduction, said: GoalReported) -> None:
 
 def _apply(step: Reduction, name: str, said: ManagedInput, reason: str = "") -> None:
     goal: Goal = step.world.goals[name]
-    state, actions = next_state(goal.state, said, goal.config.autostart)
+    state = next_state(goal.state, said, goal.config.autostart)
     failure = reason if state is ManagedState.FAILED else ""
     step.world.put(goal, state=state, reason=failure)
-    for action in actions:
-        match action:
-            case ManagedAction.ASK:
-                step.effects.append(Drive(name, goal.instance))
-            case ManagedAction.LEAVE:
-                step.effects.append(Release(name))
-            case ManagedAction.CONFIGURE | ManagedAction.ACTIVATE:
-                step.effects.append(Transit(name, goal.instance, action))
-            case ManagedAction.REPORT_FAILED:
-                text = f"{goal.config.name} does not {goal.config.autostart}: {reason}"
-                step.effects.append(Log(text, is_error=True, is_shown_otherwise=True))
-            case _:
-                assert_never(action)
+    if state is goal.state and said is not ManagedInput.UP:
+        return
+    match state:
+        case ManagedState.ABSENT:
+            step.effects.append(Release(name))
+        case ManagedState.ASKED:
+            step.effects.append(Drive(name, goal.instance))
+        case ManagedState.CONFIGURING | ManagedState.ACTIVATING:
+            step.effects.append(Transit(name, goal.instance, state))
+        case ManagedState.FAILED:
+            text = f"{goal.config.name} does not {goal.config.autostart}: {reason}"
+            step.effects.append(Log(text, is_error=True, is_shown_otherwise=True))
+        case _:
+            pass

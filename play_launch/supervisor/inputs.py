@@ -16,6 +16,7 @@ from msgspec import Struct, field
 from play_launch.config.dependency import Condition
 from play_launch.config.model import ReplayConfig
 from play_launch.config.node_key import NodeKey
+from play_launch.supervisor.events import ManagedState
 from play_launch.supervisor.outcome import Cause
 from play_launch.supervisor.plan import Step, StepOutcome
 from play_launch.supervisor.transitions import NodeFact
@@ -173,23 +174,11 @@ class Probed(_Input, frozen=True):
     finding: ProbeResult | None
 
 
-class LineSeen(_Input, frozen=True):
-    """A process wrote a line that matches a pattern that others depend on."""
+class Found(_Input, frozen=True):
+    """What starts depend on and is there now: lines that were written, files, the ROS graph."""
 
-    unit: str
-    pattern: str
-
-
-class FilesSeen(_Input, frozen=True):
-    """The files that exist, of those that are waited for."""
-
-    paths: frozenset[str]
-
-
-class GraphSeen(_Input, frozen=True):
-    """What the ROS graph has, of what is waited for."""
-
-    found: frozenset[tuple[Condition, str]]
+    met: frozenset[tuple[Condition, str, str]]
+    """Condition, unit (of a line) and subject."""
 
 
 class GoalReported(_Input, frozen=True):
@@ -256,9 +245,7 @@ Input: TypeAlias = (
     | NodeReported
     | HealthReported
     | Probed
-    | LineSeen
-    | FilesSeen
-    | GraphSeen
+    | Found
     | GoalReported
     | StopRequested
     | StartRequested
@@ -296,7 +283,7 @@ class Kill(Struct, frozen=True):
 
 
 class Stop(Struct, frozen=True):
-    """Stop the process of a unit, from gentle to hard."""
+    """Stop the process of a unit, from gentle to hard, and end its scratch processes."""
 
     unit: str
     start: int
@@ -316,18 +303,12 @@ class Load(Struct, frozen=True):
         return self.node.container
 
 
-class Cancel(Struct, frozen=True):
-    """Request that a load is given up."""
-
-    container: str
-    unique_id: int
-
-
 class Unload(Struct, frozen=True):
-    """Request that a node is unloaded."""
+    """Request that a node is unloaded, or that its load is given up."""
 
     container: str
     unique_id: int
+    is_loading: bool
 
 
 class Query(Struct, frozen=True):
@@ -344,12 +325,6 @@ class Probe(Struct, frozen=True):
     nodes: tuple[NodeKey, ...]
 
 
-class CancelProbes(Struct, frozen=True):
-    """End the scratch processes of a container."""
-
-    container: str
-
-
 class Drive(Struct, frozen=True):
     """Begin to talk to a managed node, first about its state."""
 
@@ -362,8 +337,8 @@ class Transit(Struct, frozen=True):
 
     unit: str
     instance: int
-    action: str
-    """``configure`` or ``activate``."""
+    to: ManagedState
+    """`CONFIGURING` or `ACTIVATING`."""
 
 
 class Release(Struct, frozen=True):
@@ -376,10 +351,6 @@ class SetParameters(Struct, frozen=True):
     """Set the parameters that a step names on a running node."""
 
     step: Step
-
-
-class ChangeEnded(Struct, frozen=True):
-    """All steps of a change ended, or were skipped."""
 
 
 class End(Struct, frozen=True):
@@ -412,15 +383,12 @@ Effect: TypeAlias = (
     | Kill
     | Stop
     | Load
-    | Cancel
     | Unload
     | Query
     | Probe
-    | CancelProbes
     | Drive
     | Transit
     | Release
     | SetParameters
     | StepOutcome
-    | ChangeEnded
 )

@@ -9,20 +9,18 @@ from msgspec.structs import replace
 
 from play_launch.config.model import OnCrash
 from play_launch.supervisor import process_rules, quarantine
-from play_launch.supervisor.conditions import readiness, report_wait
+from play_launch.supervisor.conditions import may_start
 from play_launch.supervisor.events import NodeState
-from play_launch.supervisor.inputs import Cancel, Load, Unload
-from play_launch.supervisor.outcome import Cause, GiveUp, Outcome, RestartHistory, Sequel, decide
+from play_launch.supervisor.inputs import Load, Unload
+from play_launch.supervisor.outcome import Cause, Outcome, RestartHistory, Sequel, decide
 from play_launch.supervisor.transitions import (
     AWAITED,
     IDLE,
     LOADING,
-    NODE_TABLE,
-    REPORTED,
-    STATUS,
     Fact,
     NodeAction,
     NodeFact,
+    next_state,
 )
 from play_launch.supervisor.world import Phase, Stage, is_wanted
 
@@ -48,7 +46,7 @@ def _meant(world: World, said: NodeReported) -> Node | None:
     """Find the node whose latest load a report is about."""
     for node in world.nodes_of(said.unit):
         is_same = said.unique_id == node.unique_id
-        if said.said not in REPORTED:
+        if said.said is NodeFact.UNLOAD_REJECTED:
             if said.unique_id and is_same:
                 return node
         elif said.attempt and node.attempt == said.attempt:
@@ -59,11 +57,7 @@ def _meant(world: World, said: NodeReported) -> Node | None:
 def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | None = None) -> None:
     """Apply a fact to a node by the table; ``said`` is the report that it comes from, if any."""
     world, now = step.world, step.now
-    if fact is NodeFact.STATUS_UNKNOWN and before.resent:
-        fact = NodeFact.STATUS_UNKNOWN_AGAIN
-    state, actions = NODE_TABLE[before.state][fact]
-    if before.is_reload and before.state in LOADING and state is NodeState.LOAD_FAILED:
-        state, actions = NODE_TABLE[before.state][NodeFact.RELOAD_FAILED]
+    state, actions = next_state(before, fact)
     node = replace(before, state=state)
     has_changed = state is not before.state
     if said is not None:
@@ -90,7 +84,7 @@ def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | N
         node = replace(node, reports=node.reports + 1)
     if fact is NodeFact.UNLOADED and has_changed and not node.reason and _is_unasked(step, before):
         node = replace(node, reason="not at the supervisor's request")
-    node = replace(node, query_at=_query_at(step, before, node, fact))
+    node = replace(node, query_at=_query_at(step, node, fact))
     world.put(node)
     if before.state in LOADING and state not in LOADING and fact is not NodeFact.CONTAINER_LOST:
         quarantine.survived(world, node)
@@ -107,10 +101,9 @@ def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | N
                 _load(step, replace(node, resent=True, reason=reason))
             case NodeAction.QUERY:
                 step.query(node)
-            case NodeAction.CANCEL:
-                step.effects.append(Cancel(node.key.container, node.unique_id))
-            case NodeAction.UNLOAD:
-                step.effects.append(Unload(node.key.container, node.unique_id))
+            case NodeAction.CANCEL | NodeAction.UNLOAD:
+                is_loading = action is NodeAction.CANCEL
+                step.effects.append(Unload(node.key.container, node.unique_id, is_loading))
             case NodeAction.RESTART:
                 _follow_crash(step, node)
             case _:
@@ -159,17 +152,14 @@ def _is_unasked(step: Reduction, node: Node) -> bool:
     return runs and node.state is not NodeState.UNLOADING
 
 
-def _query_at(step: Reduction, before: Node, node: Node, fact: NodeFact) -> float | None:
+def _query_at(step: Reduction, node: Node, fact: NodeFact) -> float | None:
     if node.state not in AWAITED:
         return None
     if fact is NodeFact.STATUS_CONSTRUCTING:
         return step.now + step.world.limits.report_interval
-    has_changed = node.state is not before.state or node.attempt != before.attempt
-    if has_changed or fact is NodeFact.SILENT or fact in STATUS:
-        config = step.process(node.key.container).container
-        assert config is not None
-        return step.now + config.loading_timeout
-    return before.query_at
+    config = step.process(node.key.container).container
+    assert config is not None
+    return step.now + config.loading_timeout
 
 
 def _renews(step: Reduction, node: Node, said: NodeReported | None) -> bool:
@@ -193,7 +183,7 @@ def _renews(step: Reduction, node: Node, said: NodeReported | None) -> bool:
     outcome = node.outcome.followed_by(Sequel.CONTAINER_RESTART)
     why = f"{node.reason}; its container is started anew"
     step.world.put(node, has_renewed=True, reason=why, outcome=outcome)
-    step.world.put(container, generation=container.generation + 1, request_reason=reason)
+    step.world.put(container, is_requested=True, request_reason=reason)
     return True
 
 
@@ -209,7 +199,6 @@ def _load(step: Reduction, node: Node) -> None:
     assert container.container is not None
     step.world.put(
         node,
-        stage=Stage.TRIED if node.stage is Stage.CLEARED else node.stage,
         attempt=attempt,
         loaded_into=container.attempt,
         **dict.fromkeys(("unique_id", "pid", "start_time"), 0),
@@ -225,7 +214,8 @@ def _load(step: Reduction, node: Node) -> None:
 def _follow_crash(step: Reduction, node: Node) -> None:
     """Decide what follows from a crash or a failed reload: at once after a healthy life."""
     container, world, now = step.process(node.key.container), step.world, step.now
-    if not container.takes_loads or not is_wanted(world, node):
+    is_first_load = node.state is NodeState.LOAD_FAILED and not node.is_reload
+    if is_first_load or not container.takes_loads or not is_wanted(world, node):
         return
     lived = 0.0 if node.loaded_at is None else now - node.loaded_at
     reason, outcome = node.reason, node.outcome
@@ -234,16 +224,16 @@ def _follow_crash(step: Reduction, node: Node) -> None:
         case OnCrash.RELOAD:
             limits, chance = replace(node.config.restart, first_at_once=True), step.chance
             history, verdict = decide(node.history, limits, now=now, lived=lived, jitter=chance)
-            if isinstance(verdict, GiveUp):
-                _give_up(step, replace(node, history=history), Sequel.GAVE_UP, verdict.reason)
+            if isinstance(verdict, str):
+                _give_up(step, replace(node, history=history), Sequel.GAVE_UP, verdict)
                 return
-            when = f"in {verdict.delay:.2f} s" if verdict.delay else "at once"
+            when = f"in {verdict:.2f} s" if verdict else "at once"
             world.put(
                 node,
                 history=history,
                 reason=f"{reason}; it is loaded again {when}",
-                next_at=now + verdict.delay,
-                outcome=outcome.followed_by(Sequel.RELOAD, verdict.delay),
+                next_at=now + verdict,
+                outcome=outcome.followed_by(Sequel.RELOAD, verdict),
             )
         case OnCrash.IGNORE:
             world.put(node, reason=f"{reason}; it stays away")
@@ -282,10 +272,12 @@ def due(step: Reduction, key: NodeKey) -> None:
 
 
 def container_stops(step: Reduction, container: Process) -> None:
+    """Forget reloads that are due, and scratch processes, which end without a result."""
     for node in step.world.nodes_of(container.name):
         if node.next_at is not None and not node.gives_up:
-            step.world.put(node, next_at=None)
-    quarantine.cancel_probes(step, container.name)
+            node = step.world.put(node, next_at=None)  # noqa: PLW2901
+        if node.stage is Stage.PROBING:
+            step.world.put(node, stage=Stage.CLEARED)
 
 
 def container_lost(step: Reduction, container: Process, reason: str) -> None:
@@ -365,7 +357,7 @@ def settle(step: Reduction, key: NodeKey) -> None:
     container = step.process(key.container)
     if node.wait is not None and not container.takes_loads:
         node = world.put(node, wait=None)
-    if node.generation > node.attempted:
+    if node.is_requested:
         if node.state in IDLE:
             if container.takes_loads:
                 _load_requested(step, node)
@@ -390,7 +382,7 @@ def _leave(step: Reduction, node: Node) -> None:
 def _load_requested(step: Reduction, node: Node) -> None:
     anew = replace(
         node,
-        attempted=node.generation,
+        is_requested=False,
         history=RestartHistory(total=node.history.total),
         is_reload=False,
         released_at=step.now,
@@ -400,18 +392,8 @@ def _load_requested(step: Reduction, node: Node) -> None:
 
 def _load_with_container(step: Reduction, node: Node) -> None:
     """Load a node into a new process of its container, if its conditions are met."""
-    ready = readiness(step.world, node, step.now)
-    if ready.failure:
-        refuse(step, node, ready.failure)
-        return
-    if not ready.may_start:
-        assert ready.wait is not None
-        wait = report_wait(step, node.key.name, node.wait, ready.wait)
-        step.world.put(node, wait=wait)
-        return
-    if ready.wait is not None:
-        if ready.wait.waived:
-            step.log(f"{node.key} starts all the same: {ready.wait.waived}")
-        node = step.world.put(node, released_at=step.now, wait=None)
-    if quarantine.may_load(step.world, node, step.now):
+    failure, node = may_start(step, node), step.node(node.key)
+    if failure:
+        refuse(step, node, failure)
+    elif failure == "" and quarantine.may_load(step.world, node, step.now):
         _apply(step, replace(node, is_reload=False), NodeFact.LOAD)

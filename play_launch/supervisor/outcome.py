@@ -104,6 +104,10 @@ def outcome_of(exit_: Exit, *, is_requested: bool) -> Outcome:
     return Outcome(Cause.EXIT_STATUS if exit_.code else Cause.NONE)
 
 
+def described(what: str, reason: str) -> str:
+    return f"{what}: {reason}" if reason else what
+
+
 class RestartHistory(Struct, frozen=True, kw_only=True):
     """Restarts so far, as far as they count for the next decision."""
 
@@ -114,18 +118,6 @@ class RestartHistory(Struct, frozen=True, kw_only=True):
     total: int = 0
 
 
-class Restart(Struct, frozen=True):
-    """Start again after ``delay`` seconds."""
-
-    delay: float
-
-
-class GiveUp(Struct, frozen=True):
-    """Do not start again."""
-
-    reason: str
-
-
 def decide(
     history: RestartHistory,
     bounds: RestartLimits,
@@ -134,8 +126,8 @@ def decide(
     lived: float,
     jitter: float,
     counts: bool = True,
-) -> tuple[RestartHistory, Restart | GiveUp]:
-    """Decide about a death.
+) -> tuple[RestartHistory, float | str]:
+    """Decide after how many seconds a unit that died starts again, or why it does not.
 
     Args:
         history: What was decided before.
@@ -151,12 +143,12 @@ def decide(
     if len(recent) >= bounds.max_restarts and (counts or bounds.max_restarts == 0):
         times = f"restart limit reached ({len(recent)} in {bounds.within:g} s)"
         reason = times if recent else "restarting is switched off"
-        return replace(history, recent=recent, streak=streak), GiveUp(reason)
+        return replace(history, recent=recent, streak=streak), reason
     delay = _pause(bounds, streak) * (0.5 + 0.5 * jitter)
     if counts:
         recent = (*recent, now + delay)
     after = RestartHistory(recent=recent, streak=streak + 1, total=history.total + 1)
-    return after, Restart(delay)
+    return after, delay
 
 
 def _pause(bounds: RestartLimits, streak: int) -> float:

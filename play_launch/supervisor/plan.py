@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
 
 _Part = TypeVar("_Part", ContainerConfig, ProcessConfig, ComposableNodeConfig)
+_Described: TypeAlias = dict[str, Any]
+_Id: TypeAlias = "tuple[PlanKind, str]"
 
 
 class PlanKind(StrEnum):
@@ -75,14 +77,6 @@ PHASES: Final = (
 """Phases of a plan, in order, so that a name is free before it is taken again; the actions of one
 phase are done at the same time."""
 
-SIGNS: Final = {
-    PlanAction.REMOVE: "-",
-    PlanAction.LOAD: "+",
-    PlanAction.START: "+",
-    PlanAction.ADD: "+",
-}
-"""Marks in the output; all other actions change something that stays: ``~``."""
-
 
 class ItemChange(Struct, frozen=True):
     """One value that differs; `before` and `after` are JSON values, None where one is missing.
@@ -113,10 +107,6 @@ class Step(Struct, frozen=True, kw_only=True):
     """Whether it comes with the start or the end of its container, so has no action of its own."""
 
     @property
-    def sign(self) -> str:
-        return SIGNS.get(self.action, "~")
-
-    @property
     def id(self) -> tuple[PlanKind, str]:
         """What it is about; no other step that is carried out is."""
         return self.kind, self.name
@@ -126,10 +116,6 @@ class Plan(Struct, frozen=True):
     """All that differs: containers with their nodes, processes, the session."""
 
     steps: tuple[Step, ...] = ()
-
-    @property
-    def differs(self) -> bool:
-        return bool(self.steps)
 
     @property
     def to_do(self) -> tuple[Step, ...]:
@@ -235,139 +221,8 @@ _ACTIONS: Final = (
 """What is done when a change needs it; the first that one of them needs."""
 
 _NOBODY: Final[Mapping[str, str]] = MappingProxyType({})
-_PAIR: Final = 2
 _IDENTITY: Final = {"key", "full_name", "name", "namespace", "line"}
-
-
-def plan(running: ReplayConfig, target: ReplayConfig, absent: Mapping[str, str] = _NOBODY) -> Plan:
-    """Compare the running system with what it is to become.
-
-    Args:
-        running: What the system was started with, or what was applied to it at last.
-        target: What it is to become.
-        absent: What is declared and not there, by its name as in `Step`, with the reason. All of
-            it is brought up, whether or not its configuration differs.
-    """
-    before, after = describe(running), describe(target)
-    steps = [
-        *_containers(_by_name(before, "containers"), _by_name(after, "containers"), absent),
-        *_members(PlanKind.PROCESS, _by_name(before, "nodes"), _by_name(after, "nodes"), absent),
-        *_session(before, after),
-    ]
-    return Plan(tuple(_with_origins(steps, _nodes_of(before), _nodes_of(after))))
-
-
-def _containers(
-    before: Mapping[str, Described], after: Mapping[str, Described], absent: Mapping[str, str]
-) -> Iterator[Step]:
-    members = {step.name: step for step in _members(PlanKind.CONTAINER, before, after, absent)}
-    for name in dict.fromkeys((*after, *before)):
-        member = members.get(name)
-        if member is not None:
-            yield member
-        # A process that is started loads what is declared by then.
-        covered = member is not None and member.action is not PlanAction.ADOPT
-        yield from (
-            replace(step, covered=True) if covered else step
-            for step in _members(
-                PlanKind.COMPONENT,
-                _components(before.get(name)),
-                _components(after.get(name)),
-                # What fails together with its container is no news.
-                _NOBODY if covered else absent,
-            )
-        )
-
-
-def _members(
-    kind: PlanKind,
-    before: Mapping[str, Described],
-    after: Mapping[str, Described],
-    absent: Mapping[str, str],
-) -> Iterator[Step]:
-    """Compare those of one kind by their names: those that stay or come, then those that go."""
-    for name, described in after.items():
-        if name not in before:
-            yield Step(kind=kind, name=name, action=PlanAction.ADD)
-            continue
-        changes = differences(kind, before[name], described)
-        needs = {change.need for change in changes}
-        action = next((action for need, action in _ACTIONS if need in needs), None)
-        if name in absent:
-            action = _brought_up(kind, action)
-        if action is not None:
-            reason = absent.get(name, "")
-            yield Step(kind=kind, name=name, action=action, changes=changes, reason=reason)
-    for name in before:
-        if name not in after:
-            yield Step(kind=kind, name=name, action=PlanAction.REMOVE)
-
-
-def _brought_up(kind: PlanKind, action: PlanAction | None) -> PlanAction:
-    """Choose what also has the thing there; nothing can be set where nothing runs."""
-    if action in {PlanAction.RESTART, PlanAction.RELOAD}:
-        return action
-    return PlanAction.LOAD if kind is PlanKind.COMPONENT else PlanAction.START
-
-
-def _session(before: Described, after: Described) -> Iterator[Step]:
-    changes = differences(PlanKind.SESSION, before, after)
-    for need, action in ((Need.NOTHING, PlanAction.ADOPT), (Need.NEXT_RUN, PlanAction.KEEP)):
-        if those := tuple(change for change in changes if change.need is need):
-            # The two are apart, for one of them is done.
-            yield Step(kind=PlanKind.SESSION, name="", action=action, changes=those)
-
-
-def _with_origins(
-    steps: Iterable[Step], before: Mapping[str, Described], after: Mapping[str, Described]
-) -> Iterator[Step]:
-    """Say which of those that are added is one that is removed, under another name or elsewhere."""
-    steps = tuple(steps)
-    alike: defaultdict[tuple[PlanKind, str], list[Step]] = defaultdict(list)
-    for step in steps:
-        described = {PlanAction.REMOVE: before, PlanAction.ADD: after}.get(step.action, {}).get(
-            step.name
-        )
-        if described is not None:
-            alike[step.kind, _likeness(described)].append(step)
-    reasons: dict[tuple[PlanKind, str], str] = {}
-    for pair in alike.values():
-        if {step.action for step in pair} == {PlanAction.ADD, PlanAction.REMOVE} and len(
-            pair
-        ) == _PAIR:
-            new, old = sorted(pair, key=lambda step: step.action is PlanAction.REMOVE)
-            reasons |= {new.id: f"it was {old.name}", old.id: f"it becomes {new.name}"}
-    for step in steps:
-        reason = reasons.get(step.id)
-        yield step if reason is None else replace(step, reason=reason)
-
-
-def _likeness(described: Described) -> str:
-    """What two nodes have in common that differ in their names and places only."""
-    return repr({key: value for key, value in described.items() if key not in _IDENTITY})
-
-
-def _by_name(config: Described, key: str) -> dict[str, Described]:
-    members = cast("list[Described]", config[key])
-    return {str(each["full_name"]): each for each in members}
-
-
-def _components(container: Described | None) -> dict[str, Described]:
-    if container is None:
-        return {}
-    nodes = cast("list[Described]", container["composable_nodes"])
-    return {str(each["key"]): each for each in nodes}
-
-
-def _nodes_of(config: Described) -> dict[str, Described]:
-    """Give the composable nodes and processes; those of containers have a colon in their names."""
-    containers = _by_name(config, "containers").values()
-    nodes = {key: node for each in containers for key, node in _components(each).items()}
-    return nodes | _by_name(config, "nodes")
-
-
-Described = dict[str, object]
-
+_PARAMETERS: Final = "parameters"
 _SAFE: Final = {
     PlanKind.SESSION: Need.NEXT_RUN,
     PlanKind.CONTAINER: Need.RESTART,
@@ -384,35 +239,133 @@ _TAKEN_OVER: Final = {
 }
 """Keys whose values the supervisor takes over."""
 _NO_DIFFERENCE: Final = {
-    # Those of members are in their own descriptions. Where a file is makes no difference, nor does
-    # the session's name, which is that of its file unless it is given.
+    # Where a file is makes no difference, nor does the session's name, which is that of its file
+    # unless it is given; the environment is that of members, in their own descriptions.
     PlanKind.SESSION: {
-        *("version", "name", "source", "included_files", "parameter_files", "taken"),
-        *("environment", "containers", "nodes"),
+        *("version", "name", "source", "included_files", "parameter_files", "taken", "environment"),
     },
-    PlanKind.CONTAINER: {"line", "file", "composable_nodes"},
+    PlanKind.CONTAINER: {"line", "file"},
     PlanKind.COMPONENT: {"line", "file", "key", "full_name"},
     PlanKind.PROCESS: {"line", "file"},
 }
 """Keys that are not compared."""
-_PARAMETERS: Final = "parameters"
 
 
-def differences(kind: PlanKind, before: Described, after: Described) -> tuple[ItemChange, ...]:
-    """Compare two descriptions of the same member, node or session."""
-    found: list[ItemChange] = []
+def plan(running: ReplayConfig, target: ReplayConfig, absent: Mapping[str, str] = _NOBODY) -> Plan:
+    """Compare the running system with what it is to become.
+
+    Args:
+        running: What the system was started with, or what was applied to it at last.
+        target: What it is to become.
+        absent: What is declared and not there, by its name as in `Step`, with the reason. All of
+            it is brought up, whether or not its configuration differs.
+    """
+    before, after = _described(running), _described(target)
+    steps: list[Step] = []
+    renewed: set[str] = set()
+    for kind, name in _ordered(before, after):
+        was, is_ = before.get((kind, name)), after.get((kind, name))
+        # A process that is started loads what is declared by then, and what fails together with
+        # its container is no news.
+        covered = kind is PlanKind.COMPONENT and name.partition(":/")[0] in renewed
+        if was is None or is_ is None:
+            action = PlanAction.ADD if was is None else PlanAction.REMOVE
+            found = [Step(kind=kind, name=name, action=action)]
+        else:
+            changes = tuple(differences(kind, was, is_))
+            found = [*_steps(kind, name, changes, None if covered else absent.get(name))]
+        steps += [replace(step, covered=covered) for step in found]
+        if kind is PlanKind.CONTAINER:
+            renewed |= {name for step in found if step.action is not PlanAction.ADOPT}
+    return Plan(tuple(_with_origins(steps, before, after)))
+
+
+def _described(config: ReplayConfig) -> dict[_Id, _Described]:
+    """Describe containers, each before its nodes, processes, and the session."""
+    session: dict[str, Any] = describe(config)
+    found: dict[_Id, _Described] = {}
+    for container in session.pop("containers"):
+        nodes = container.pop("composable_nodes")
+        found[PlanKind.CONTAINER, container["full_name"]] = container
+        found |= {(PlanKind.COMPONENT, node["key"]): node for node in nodes}
+    found |= {(PlanKind.PROCESS, each["full_name"]): each for each in session.pop("nodes")}
+    return {**found, (PlanKind.SESSION, ""): session}
+
+
+def _ordered(before: Iterable[_Id], after: Iterable[_Id]) -> list[_Id]:
+    """Bring the parts of both into one order: those of a container together, old ones last."""
+    found = list(dict.fromkeys((*after, *before)))
+    containers = [name for kind, name in found if kind is PlanKind.CONTAINER]
+
+    def place(part: _Id) -> tuple[int, int]:
+        kind, name = part
+        if kind in {PlanKind.SESSION, PlanKind.PROCESS}:
+            return len(containers), kind is PlanKind.SESSION
+        return containers.index(name.partition(":/")[0]), 0
+
+    return sorted(found, key=place)
+
+
+def _steps(
+    kind: PlanKind, name: str, changes: tuple[ItemChange, ...], absent: str | None
+) -> Iterator[Step]:
+    """Choose what is done about a part that stays; ``absent`` is why it is not there."""
+    needs = {change.need for change in changes}
+    if kind is PlanKind.SESSION:
+        for need, action in ((Need.NOTHING, PlanAction.ADOPT), (Need.NEXT_RUN, PlanAction.KEEP)):
+            if those := tuple(change for change in changes if change.need is need):
+                # The two are apart, for one of them is done.
+                yield Step(kind=kind, name=name, action=action, changes=those)
+        return
+    chosen = next((action for need, action in _ACTIONS if need in needs), None)
+    if absent is not None and chosen not in {PlanAction.RESTART, PlanAction.RELOAD}:
+        # Nothing can be set where nothing runs.
+        chosen = PlanAction.LOAD if kind is PlanKind.COMPONENT else PlanAction.START
+    if chosen is not None:
+        yield Step(kind=kind, name=name, action=chosen, changes=changes, reason=absent or "")
+
+
+def _with_origins(
+    steps: Iterable[Step], before: Mapping[_Id, _Described], after: Mapping[_Id, _Described]
+) -> Iterator[Step]:
+    """Say which of those that are added is one that is removed, under another name or elsewhere."""
+    parts = {PlanAction.REMOVE: before, PlanAction.ADD: after}
+    alike: defaultdict[tuple[PlanKind, str], list[Step]] = defaultdict(list)
+    for step in steps:
+        if step.action in parts and step.kind is not PlanKind.CONTAINER:
+            values = parts[step.action][step.id].items()
+            likeness = repr({key: value for key, value in values if key not in _IDENTITY})
+            alike[step.kind, likeness].append(step)
+    reasons: dict[_Id, str] = {}
+    for those in alike.values():
+        pair = sorted(those, key=lambda step: step.action)
+        if [step.action for step in pair] == [PlanAction.ADD, PlanAction.REMOVE]:
+            new, old = pair
+            reasons |= {new.id: f"it was {old.name}", old.id: f"it becomes {new.name}"}
+    for step in steps:
+        yield replace(step, reason=reasons[step.id]) if step.id in reasons else step
+
+
+def differences(kind: PlanKind, before: _Described, after: _Described) -> Iterator[ItemChange]:
+    """Compare two descriptions of the same part."""
     for key in _keys(before, after):
+        was: Any = before.get(key)
+        is_: Any = after.get(key)
         if key in _NO_DIFFERENCE[kind]:
             continue
-        if key == _PARAMETERS:
-            found += _parameters(kind, after, before.get(key), after.get(key))
-        else:
+        if key != _PARAMETERS:
             need = Need.NOTHING if key in _TAKEN_OVER[kind] else _SAFE[kind]
-            found += _values(key, before.get(key), after.get(key), need)
-    return tuple(found)
+            yield from _values(key, was, is_, need)
+            continue
+        for name in _keys(was, is_):
+            # What a node was given cannot be taken back from it, and one whose name is not
+            # declared cannot be asked.
+            need = Need.SET if name in is_ and after.get("name") else _SAFE[kind]
+            if was.get(name) != is_.get(name):
+                yield ItemChange(f"{_PARAMETERS}.{name}", was.get(name), is_.get(name), need)
 
 
-def _values(path: str, before: object, after: object, need: Need) -> Iterator[ItemChange]:
+def _values(path: str, before: Any, after: Any, need: Need) -> Iterator[ItemChange]:
     if isinstance(before, dict) and isinstance(after, dict):
         for key in _keys(before, after):
             yield from _values(f"{path}.{key}", before.get(key), after.get(key), need)
@@ -420,24 +373,5 @@ def _values(path: str, before: object, after: object, need: Need) -> Iterator[It
         yield ItemChange(path, before, after, need)
 
 
-def _parameters(
-    kind: PlanKind, node: Described, before: object, after: object
-) -> Iterator[ItemChange]:
-    """Compare parameters.
-
-    What a node was given cannot be taken back from it, and one whose name is not declared cannot
-    be asked.
-    """
-    assert isinstance(before, dict)
-    assert isinstance(after, dict)
-    for name in _keys(before, after):
-        was, is_ = before.get(name), after.get(name)
-        if was != is_:
-            settable = is_ is not None and bool(node.get("name"))
-            yield ItemChange(
-                f"{_PARAMETERS}.{name}", was, is_, Need.SET if settable else _SAFE[kind]
-            )
-
-
-def _keys(before: Mapping[str, object], after: Mapping[str, object]) -> list[str]:
+def _keys(before: _Described, after: _Described) -> list[str]:
     return list(dict.fromkeys((*before, *after)))

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, assert_never
+from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
 from play_launch.config.model import ContainerConfig, OnExit
 from play_launch.supervisor import inputs, node_rules, quarantine
-from play_launch.supervisor.conditions import readiness, report_wait
+from play_launch.supervisor.conditions import may_start
 from play_launch.supervisor.inputs import End, Kill, Spawn, Stop
 from play_launch.supervisor.outcome import (
     CONTEXT_EXIT_CODE,
     PERMANENT_EXIT_CODES,
     Cause,
-    GiveUp,
     Outcome,
     RestartHistory,
     Sequel,
     decide,
     outcome_of,
 )
-from play_launch.supervisor.transitions import PROCESS_TABLE, Action, Fact
+from play_launch.supervisor.transitions import PROCESS_TABLE, Fact
 from play_launch.supervisor.world import (
     INACTIVE,
     Node,
@@ -42,6 +41,7 @@ _OUTCOMES: Final = {
     Fact.FAILED: Outcome(sequel=Sequel.GAVE_UP),
     Fact.IMPOSSIBLE: Outcome(Cause.REFUSED, Sequel.GAVE_UP),
 }
+_ENDED: Final = frozenset({*INACTIVE, Phase.BACKOFF})
 _ACTIVE: Final = frozenset({Phase.SPAWNING, Phase.STARTING, Phase.RUNNING, Phase.KILLING})
 
 
@@ -56,33 +56,30 @@ def apply(
 ) -> None:
     """Apply a fact to a process by the table; ``due`` is the deadline of the new phase."""
     before = step.process(name)
-    phase, actions = PROCESS_TABLE[before.phase][fact]
+    phase = PROCESS_TABLE[before.phase].get(fact, before.phase)
     if phase is not before.phase:
         outcome = outcome or _OUTCOMES.get(fact, Outcome())
-        step.world.put(before, phase=phase, reason=reason, due=due, outcome=outcome)
+        after = step.world.put(before, phase=phase, reason=reason, due=due, outcome=outcome)
         if phase is Phase.GAVE_UP and before.phase is not Phase.STOPPING:
             _end_all_with(step, before)
-    for action in actions:
-        process = step.process(name)
-        match action:
-            case Action.SPAWN:
-                _spawn(step, process)
-            case Action.CANCEL_SPAWN:
-                step.effects.append(Kill(name, process.attempt))
-            case Action.KILL:
-                _kill(step, process, reason)
-            case Action.STOP:
-                _stop(step, process, reason)
-            case Action.LOSE:
-                if process.container is not None:
-                    node_rules.container_lost(step, process, reason)
-            case _:
-                assert_never(action)
+        if phase is Phase.SPAWNING:
+            _spawn(step, after)
+        elif phase is Phase.KILLING:
+            _kill(step, after, reason)
+        elif phase in _ENDED and after.container is not None:
+            node_rules.container_lost(step, after, reason)
+        if before.phase is Phase.SPAWNING and fact in {Fact.STOP, Fact.FAILED}:
+            # One that has just got a pid is stopped then.
+            step.effects.append(Kill(name, after.attempt))
+    # What still runs of one that failed is stopped in order, as is one that starts too late.
+    is_late = fact is Fact.STARTED and phase is not Phase.STARTING
+    if (fact is Fact.STOP and phase is Phase.STOPPING) or fact is Fact.FAILED or is_late:
+        _stop(step, step.process(name), reason)
 
 
 _OF_ATTEMPT: Final = {
     **dict.fromkeys(("pid", "start_time"), 0),
-    **dict.fromkeys(("exit", "hello", "ready_at", "wait")),
+    **dict.fromkeys(("exit", "hello", "wait")),
     **dict.fromkeys(
         ("is_stuck", "stopped", "is_started", "is_fatal", "lost_locks", "is_leaking"), False
     ),
@@ -112,8 +109,8 @@ def _stop(step: Reduction, process: Process, reason: str) -> None:
     has_process = process.is_present and process.is_started
     if process.stopped or not has_process or process.exit is not None:
         return
-    step.world.put(step.process(process.name), stopped=True, due=None)
-    asks = process.container is not None and process.ready_at is not None
+    step.world.put(process, stopped=True, due=None)
+    asks = process.hello is not None
     step.effects.append(Stop(process.name, process.attempt, asks, reason))
 
 
@@ -144,13 +141,13 @@ def not_started(step: Reduction, said: inputs.NotStarted) -> None:
 def greeted(step: Reduction, said: inputs.Greeted) -> None:
     process = step.process(said.unit)
     if process.phase is Phase.STARTING:
-        step.world.put(process, hello=said.hello, ready_at=step.now)
+        step.world.put(process, hello=said.hello, began_at=step.now)
     apply(step, said.unit, Fact.READY)
 
 
 def faulty(step: Reduction, said: inputs.Faulty) -> None:
     process = step.process(said.unit)
-    if said.is_fatal and PROCESS_TABLE[process.phase][Fact.FAULTY][1]:
+    if said.is_fatal and Fact.FAULTY in PROCESS_TABLE[process.phase]:
         step.world.put(process, is_fatal=True)
     apply(step, said.unit, Fact.FAULTY, said.reason, outcome=Outcome(said.cause))
 
@@ -175,8 +172,8 @@ def exited(step: Reduction, said: inputs.Exited) -> None:
         return  # what follows was decided before
     text, code = said.exit.text, said.exit.code
     repeats = f"{text}: {PERMANENT_EXIT_CODES[code]}" if code in PERMANENT_EXIT_CODES else ""
+    lived = step.now - process.began_at
     if process.container is None:
-        lived = step.now - process.began_at
         if process.config.on_exit is not OnExit.RESTART:
             _exit(step, process, "", is_done=True, lived=lived)
         elif code in _NEVER_RAN:
@@ -185,12 +182,12 @@ def exited(step: Reduction, said: inputs.Exited) -> None:
             _exit(step, process, text, lived=lived)
         return
     because = f"{process.killed_because}; " if is_killed else ""
-    if process.ready_at is None:
+    if process.hello is None:
         _exit(step, process, f"{because}{repeats or text}", is_permanent=bool(repeats))
     elif code == CONTEXT_EXIT_CODE:
         _exit(step, process, "a node shut its ROS context down", is_done=True)
     else:
-        _exit(step, process, f"{because}{text}", lived=step.now - process.ready_at)
+        _exit(step, process, f"{because}{text}", lived=lived)
 
 
 def cleaned_up(step: Reduction, said: inputs.CleanedUp) -> None:
@@ -246,7 +243,7 @@ def _exit(
     is_permanent = is_permanent or (ends_all and not is_done and process.container is not None)
     done = outcome.followed_by(Sequel.SHUTDOWN) if ends_all else outcome
     gave_up = done if ends_all else outcome.followed_by(Sequel.GAVE_UP)
-    if process.generation > process.attempted and is_wanted(step.world, process):
+    if process.is_requested and is_wanted(step.world, process):
         apply(step, name, Fact.EXITED_DONE, reason, outcome=outcome)  # it is started anew
     elif process.is_fatal or was_stopped or is_permanent:
         gave_up = outcome if was_stopped else gave_up
@@ -278,16 +275,16 @@ def _restart(step: Reduction, process: Process, reason: str, lived: float) -> No
         process.restarts, limits, now=now, lived=lived, jitter=step.chance, counts=counts
     )
     process = world.put(process, restarts=history)
-    if isinstance(verdict, GiveUp):
-        outcome, text = process.outcome.followed_by(Sequel.GAVE_UP), f"{reason}; {verdict.reason}"
+    if isinstance(verdict, str):
+        outcome, text = process.outcome.followed_by(Sequel.GAVE_UP), f"{reason}; {verdict}"
         apply(step, process.name, Fact.EXITED_GIVE_UP, text, outcome=outcome)
         return
     is_attached = process.container is not None and process.container.attach
     what = "looked for again" if is_attached else "starts again"
-    text = f"{reason}; {what} in {verdict.delay:.2f} s"
+    text = f"{reason}; {what} in {verdict:.2f} s"
     under_way = node_rules.under_way(world, process.name)
-    outcome = process.outcome.followed_by(Sequel.RESTART, verdict.delay)
-    due = now + verdict.delay
+    outcome = process.outcome.followed_by(Sequel.RESTART, verdict)
+    due = now + verdict
     apply(step, process.name, Fact.EXITED_RESTART, text, due, outcome=outcome)
     if is_ours(process):
         blamed = under_way if process.blames_loads else ()
@@ -310,10 +307,10 @@ def settle(step: Reduction, name: str) -> None:
     if not is_wanted(world, process):
         _settle_unwanted(step, process)
         return
-    if process.generation > process.attempted:
+    if process.is_requested:
         if process.phase in {Phase.SPAWNING, Phase.STARTING, Phase.RUNNING}:
             apply(step, name, Fact.STOP, process.request_reason)
-        elif PROCESS_TABLE[process.phase][Fact.START][0] is Phase.QUEUED:
+        elif process.phase in {*INACTIVE, Phase.QUEUED, Phase.BACKOFF}:
             _begin(step, process)
     process = step.process(name)
     if process.phase is Phase.QUEUED:
@@ -355,7 +352,7 @@ def _begin(step: Reduction, process: Process) -> None:
         process = _with_next_config(step, process)
     step.world.put(
         process,
-        attempted=process.generation,
+        is_requested=False,
         restarts=RestartHistory(total=process.restarts.total),
         request_reason="",
     )
@@ -372,30 +369,18 @@ def _with_next_config(step: Reduction, process: Process) -> Process:
     for each in config.composable_nodes if isinstance(config, ContainerConfig) else ():
         was = before.get(each.key) or Node(config=each)
         # What was started once waits for no conditions.
-        is_asked = int(was.generation > was.attempted)
-        world.put(Node(config=each, generation=is_asked, released_at=was.released_at))
-    anew = Process(config=config, generation=process.generation, attempt=process.attempt)
+        requested, released_at = was.is_requested, was.released_at
+        world.put(Node(config=each, is_requested=requested, released_at=released_at))
+    anew = Process(config=config, attempt=process.attempt)
     anew = replace(anew, phase=process.phase, reason=process.reason)
     return world.put(replace(anew, released_at=process.released_at))
 
 
 def _queue(step: Reduction, process: Process) -> None:
-    world, before = step.world, process.wait
-    ready = readiness(world, process, step.now)
-    if ready.failure:
-        world.put(process, wait=None)
-        apply(step, process.name, Fact.IMPOSSIBLE, ready.failure)
-        return
-    if not ready.may_start:
-        assert ready.wait is not None
-        world.put(process, wait=report_wait(step, process.name, before, ready.wait))
-        return
-    if ready.wait is not None and ready.wait.waived:
-        step.log(f"{process.name} starts all the same: {ready.wait.waived}")
-    # Without a wait, its conditions are gone.
-    released_at = process.released_at if ready.wait is None else step.now
-    process = world.put(process, wait=None, released_at=released_at)
-    if not process.is_present and _has_slot(step, process):
+    failure = may_start(step, process)
+    if failure:
+        apply(step, process.name, Fact.IMPOSSIBLE, failure)
+    elif failure == "" and not process.is_present and _has_slot(step, process):
         apply(step, process.name, Fact.TURN)
 
 

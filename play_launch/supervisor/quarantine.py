@@ -21,7 +21,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.supervisor import node_rules
-from play_launch.supervisor.inputs import CancelProbes, Probe
+from play_launch.supervisor.inputs import Probe
 from play_launch.supervisor.transitions import LOADING
 from play_launch.supervisor.world import Stage, is_wanted
 
@@ -44,7 +44,8 @@ ALONE_LIMIT: Final = 60.0
 
 def excuses_death(world: World, container: str) -> bool:
     """Count a death that does not use up a restart: a node in quarantine was being loaded."""
-    tried = [node for node in world.nodes_of(container) if node.stage is Stage.TRIED]
+    nodes = world.nodes_of(container)
+    tried = [node for node in nodes if node.stage is Stage.CLEARED and node.state in LOADING]
     is_excused = any(node.excused < MOST_DEATHS - 1 for node in tried)
     for node in tried:
         world.put(node, excused=node.excused + 1)
@@ -57,9 +58,8 @@ def begin(step: Reduction, container: Process, loads: Collection[NodeKey], reaso
     for node in step.world.nodes_of(container.name):
         deaths = node.deaths + (node.key in loads)
         if node.key not in loads and node.stage is not Stage.CONDEMNED:
-            if node.stage is Stage.TRIED:  # its load was over
-                step.world.put(node, stage=Stage.TRUSTED, deaths=0)
-        elif node.key in loads and (
+            continue
+        if node.key in loads and (
             deaths >= MOST_DEATHS or (len(loads) == 1 and deaths >= _DEATHS_ALONE)
         ):
             refused.append(step.world.put(node, stage=Stage.REFUSED, deaths=deaths))
@@ -77,15 +77,6 @@ def begin(step: Reduction, container: Process, loads: Collection[NodeKey], reaso
         node_rules.refuse(step, node, why)
     if probe:
         step.effects.append(Probe(container.name, tuple(probe)))
-
-
-def cancel_probes(step: Reduction, container: str) -> None:
-    """End the scratch processes without a result."""
-    probing = [node for node in step.world.nodes_of(container) if node.stage is Stage.PROBING]
-    for node in probing:
-        step.world.put(node, stage=Stage.CLEARED)
-    if probing:
-        step.effects.append(CancelProbes(container))
 
 
 def probed(step: Reduction, said: Probed) -> None:
@@ -111,7 +102,7 @@ def survived(world: World, node: Node) -> None:
 def may_load(world: World, node: Node, now: float) -> bool:
     """Whether a cleared node is loaded now, beside the loads that are under way."""
     if node.stage is not Stage.CLEARED:
-        return node.stage in {Stage.TRUSTED, Stage.TRIED}
+        return node.stage is Stage.TRUSTED
     all_ = tuple(world.nodes_of(node.key.container))
     since = now - ALONE_LIMIT
     others = [each for each in all_ if each.state in LOADING and each.sent_at >= since]
@@ -122,7 +113,10 @@ def may_load(world: World, node: Node, now: float) -> bool:
     cleared = [
         each
         for each in all_
-        if each.stage is Stage.CLEARED and each.wait is None and is_wanted(world, each)
+        if each.stage is Stage.CLEARED
+        and each.state not in LOADING
+        and each.wait is None
+        and is_wanted(world, each)
     ]
     return not others and all(_is_alone(each) for each in cleared) and cleared[0].key == node.key
 

@@ -137,12 +137,8 @@ def _take(step: Reduction, said: Input) -> None:
                 process_rules.failed(step, said.unit, said.reason)
         case inputs.Probed():
             quarantine.probed(step, said)
-        case inputs.LineSeen():
-            world.lines |= {(said.unit, said.pattern)}
-        case inputs.FilesSeen():
-            world.files = said.paths
-        case inputs.GraphSeen():
-            world.graph = said.found
+        case inputs.Found():
+            world.met = said.met
         case inputs.GoalReported():
             goals.reported(step, said)
         case inputs.StopRequested():
@@ -175,14 +171,14 @@ def _operate(step: Reduction, said: inputs.StartRequested | inputs.EndRequested)
     values: dict[str, object] = {"wait": None}
     if isinstance(unit, Process):
         runs = was_wanted and unit.phase not in INACTIVE | {Phase.STOPPING, Phase.BACKOFF}
-        is_new = (said.anew or not runs) and unit.generation <= unit.attempted
+        is_new = said.anew or not runs
         values["request_reason"] = said.reason if said.anew else ""
     else:
         is_new = said.anew or not was_wanted or unit.state in IDLE
         values |= {"next_at": None, "gives_up": ""}
     released_at = step.now if unit.released_at is None else unit.released_at
-    generation = unit.generation + is_new
-    world.put(unit, released_at=released_at, generation=generation, **values)
+    is_requested = unit.is_requested or is_new
+    world.put(unit, released_at=released_at, is_requested=is_requested, **values)
 
 
 def _settle(step: Reduction, *, is_about_all: bool) -> None:

@@ -11,33 +11,15 @@ The container owns its nodes; their table is the supervisor's mirror of what it 
 from __future__ import annotations
 
 from enum import StrEnum, auto
-from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from play_launch.supervisor.events import NodeState as State
 from play_launch.supervisor.world import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
-_State = TypeVar("_State")
-_Fact = TypeVar("_Fact")
-_Action = TypeVar("_Action")
-
-
-def complete(
-    facts: Iterable[_Fact],
-    table: Mapping[_State, Mapping[_Fact, tuple[_State, *tuple[_Action, ...]]]],
-) -> dict[_State, dict[_Fact, tuple[_State, tuple[_Action, ...]]]]:
-    """Complete a table: a fact without an answer leaves the state as it is."""
-    return {
-        state: {
-            fact: (then, tuple(actions))
-            for fact in facts
-            for then, *actions in (row.get(fact, (state,)),)
-        }
-        for state, row in table.items()
-    }
-
+    from play_launch.supervisor.world import Node
 
 # Containers and ordinary processes.
 
@@ -70,78 +52,48 @@ class Fact(StrEnum):
     """The supervisor's own code for it failed."""
 
 
-class Action(StrEnum):
-    """What follows from a fact besides the phase."""
+_Row: TypeAlias = "Mapping[Fact, Phase]"
 
-    SPAWN = auto()
-    CANCEL_SPAWN = auto()
-    KILL = auto()
-    STOP = auto()
-    LOSE = auto()
-    """Its composable nodes are lost."""
-
-
-_Row: TypeAlias = "Mapping[Fact, tuple[Phase, *tuple[Action, ...]]]"
-
-_EXITS: Final = (Fact.EXITED_RESTART, Fact.EXITED_GIVE_UP, Fact.EXITED_DONE)
-_QUEUE: Final = (Phase.QUEUED,)
-_KILL: Final = (Phase.KILLING, Action.KILL)
-_STOP: Final = (Phase.STOPPING, Action.STOP)
-_LIVES: Final[_Row] = {
-    Fact.EXITED_RESTART: (Phase.BACKOFF, Action.LOSE),
-    Fact.EXITED_GIVE_UP: (Phase.GAVE_UP, Action.LOSE),
-    Fact.EXITED_DONE: (Phase.STOPPED, Action.LOSE),
-    Fact.STOP: _STOP,
-    # What still runs of it is stopped in order.
-    Fact.FAILED: (Phase.GAVE_UP, Action.LOSE, Action.STOP),
+_FAILS: Final[_Row] = {Fact.FAILED: Phase.GAVE_UP}
+_RUNS: Final[_Row] = {
+    Fact.EXITED_RESTART: Phase.BACKOFF,
+    Fact.EXITED_GIVE_UP: Phase.GAVE_UP,
+    Fact.EXITED_DONE: Phase.STOPPED,
+    Fact.STOP: Phase.STOPPING,
+    **_FAILS,
 }
 
-_PROCESS: Final[Mapping[Phase, _Row]] = {
-    Phase.STOPPED: {
-        Fact.START: _QUEUE,
-        Fact.FAILED: (Phase.GAVE_UP,),
-        Fact.STARTED: (Phase.STOPPED, Action.STOP),
-    },
+PROCESS_TABLE: Final[Mapping[Phase, _Row]] = {
+    Phase.STOPPED: {**_FAILS, Fact.START: Phase.QUEUED},
     Phase.QUEUED: {
-        Fact.TURN: (Phase.SPAWNING, Action.SPAWN),
-        Fact.IMPOSSIBLE: (Phase.GAVE_UP,),
-        Fact.STOP: (Phase.STOPPED,),
-        Fact.FAILED: (Phase.GAVE_UP,),
-        # A process of an earlier start, which failed meanwhile, is not left running.
-        Fact.STARTED: (Phase.QUEUED, Action.STOP),
+        **_FAILS,
+        Fact.TURN: Phase.SPAWNING,
+        Fact.IMPOSSIBLE: Phase.GAVE_UP,
+        Fact.STOP: Phase.STOPPED,
     },
-    Phase.SPAWNING: {
-        Fact.STARTED: (Phase.STARTING,),
-        Fact.EXITED_RESTART: (Phase.BACKOFF,),
-        Fact.EXITED_GIVE_UP: (Phase.GAVE_UP,),
-        Fact.EXITED_DONE: (Phase.STOPPED,),
-        # One that has just got a pid is stopped then.
-        Fact.STOP: (Phase.STOPPING, Action.CANCEL_SPAWN),
-        Fact.FAILED: (Phase.GAVE_UP, Action.CANCEL_SPAWN),
-    },
-    Phase.STARTING: {**_LIVES, Fact.READY: (Phase.RUNNING,), Fact.FAULTY: _KILL},
+    Phase.SPAWNING: {**_RUNS, Fact.STARTED: Phase.STARTING},
+    Phase.STARTING: {**_RUNS, Fact.READY: Phase.RUNNING, Fact.FAULTY: Phase.KILLING},
     # One hello for each process; a second one changes nothing.
-    Phase.RUNNING: {**_LIVES, Fact.FAULTY: _KILL},
+    Phase.RUNNING: {**_RUNS, Fact.FAULTY: Phase.KILLING},
     # A further fault changes nothing: its exit decides what follows.
-    Phase.KILLING: {**_LIVES, Fact.STUCK: (Phase.GAVE_UP, Action.LOSE)},
+    Phase.KILLING: {**_RUNS, Fact.STUCK: Phase.GAVE_UP},
     Phase.STOPPING: {
-        Fact.STARTED: _STOP,
-        **dict.fromkeys(_EXITS, (Phase.STOPPED, Action.LOSE)),
-        Fact.STUCK: (Phase.GAVE_UP, Action.LOSE),
-        Fact.FAILED: (Phase.GAVE_UP, Action.LOSE, Action.STOP),
+        **_FAILS,
+        Fact.EXITED_RESTART: Phase.STOPPED,
+        Fact.EXITED_GIVE_UP: Phase.STOPPED,
+        Fact.EXITED_DONE: Phase.STOPPED,
+        Fact.STUCK: Phase.GAVE_UP,
     },
     Phase.BACKOFF: {
-        Fact.RESTART_DUE: _QUEUE,
-        Fact.START: _QUEUE,
-        Fact.STOP: (Phase.STOPPED,),
-        Fact.FAILED: (Phase.GAVE_UP,),
-        Fact.STARTED: (Phase.BACKOFF, Action.STOP),
+        **_FAILS,
+        Fact.RESTART_DUE: Phase.QUEUED,
+        Fact.START: Phase.QUEUED,
+        Fact.STOP: Phase.STOPPED,
     },
-    # A process that starts although its start failed is not left running. All else is ignored: it
-    # stays visible in the summary that it gave up.
-    Phase.GAVE_UP: {Fact.START: _QUEUE, Fact.STARTED: (Phase.GAVE_UP, Action.STOP)},
+    # All else is ignored: it stays visible in the summary that it gave up.
+    Phase.GAVE_UP: {Fact.START: Phase.QUEUED},
 }
-PROCESS_TABLE: Final = complete(Fact, _PROCESS)
+"""The phase that follows; a fact that is not in a row leaves the phase as it is."""
 
 
 # Composable nodes.
@@ -167,8 +119,6 @@ class NodeFact(StrEnum):
     LOADING = auto()
     LOADED = auto()
     LOAD_FAILED = auto()
-    RELOAD_FAILED = auto()
-    """A load that followed a crash was rejected or failed."""
     UNLOADED = auto()
     CRASHED = auto()
     STATUS_QUEUED = auto()
@@ -178,8 +128,6 @@ class NodeFact(StrEnum):
     STATUS_UNLOADING = auto()
     STATUS_UNKNOWN = auto()
     """The container was queried and does not know the attempt."""
-    STATUS_UNKNOWN_AGAIN = auto()
-    """The same for a load that was sent a second time."""
 
 
 class NodeAction(StrEnum):
@@ -191,7 +139,7 @@ class NodeAction(StrEnum):
     CANCEL = auto()
     UNLOAD = auto()
     RESTART = auto()
-    """Decide whether it is loaded again."""
+    """Decide whether it is loaded again after a crash, or a reload that failed."""
 
 
 _NodeRow: TypeAlias = "Mapping[NodeFact, tuple[State, *tuple[NodeAction, ...]]]"
@@ -211,36 +159,11 @@ IDLE: Final = frozenset(
 )
 """States in which the container does not have it."""
 
-STATUS: Final = frozenset(
-    {
-        NodeFact.STATUS_QUEUED,
-        NodeFact.STATUS_CONSTRUCTING,
-        NodeFact.STATUS_LOADED,
-        NodeFact.STATUS_UNLOADING,
-        NodeFact.STATUS_UNKNOWN,
-        NodeFact.STATUS_UNKNOWN_AGAIN,
-    }
-)
-REPORTED: Final = frozenset(
-    {
-        NodeFact.ACCEPTED,
-        NodeFact.REJECTED,
-        NodeFact.LOADING,
-        NodeFact.LOADED,
-        NodeFact.LOAD_FAILED,
-        NodeFact.RELOAD_FAILED,
-        NodeFact.UNLOADED,
-        NodeFact.CRASHED,
-        *STATUS,
-    }
-)
-"""Facts about one attempt; they count only for that attempt."""
-
 _LOAD: Final = (State.REQUESTED, NodeAction.LOAD)
+_FAILED: Final = (State.LOAD_FAILED, NodeAction.RESTART)
 _END_OF_LOAD: Final[_NodeRow] = {
     NodeFact.LOADED: (State.LOADED,),
-    NodeFact.LOAD_FAILED: (State.LOAD_FAILED,),
-    NodeFact.RELOAD_FAILED: (State.LOAD_FAILED, NodeAction.RESTART),
+    NodeFact.LOAD_FAILED: _FAILED,
     NodeFact.UNLOADED: (State.UNLOADED,),
     NodeFact.CRASHED: (State.CRASHED, NodeAction.RESTART),
     NodeFact.CONTAINER_LOST: (State.LOST,),
@@ -248,11 +171,10 @@ _END_OF_LOAD: Final[_NodeRow] = {
     NodeFact.STATUS_LOADED: (State.LOADED,),
     NodeFact.STATUS_UNLOADING: (State.UNLOADING,),
     NodeFact.STATUS_UNKNOWN: (State.REQUESTED, NodeAction.LOAD_AGAIN),
-    NodeFact.STATUS_UNKNOWN_AGAIN: (State.LOAD_FAILED,),
 }
 """Whether the load was accepted or not: the reports in between may have been dropped."""
 
-_NODE: Final[Mapping[State, _NodeRow]] = {
+NODE_TABLE: Final[Mapping[State, _NodeRow]] = {
     State.PENDING: {
         NodeFact.LOAD: _LOAD,
         NodeFact.REFUSED: (State.LOAD_FAILED,),
@@ -262,7 +184,7 @@ _NODE: Final[Mapping[State, _NodeRow]] = {
         **_END_OF_LOAD,
         NodeFact.ACCEPTED: (State.LOADING,),
         NodeFact.LOADING: (State.LOADING,),
-        NodeFact.REJECTED: (State.LOAD_FAILED,),
+        NodeFact.REJECTED: _FAILED,
         NodeFact.SILENT: (State.REQUESTED, NodeAction.QUERY),
         # Without a unique_id there is nothing to cancel yet; ACCEPTED brings it.
         NodeFact.LEAVE: (State.UNLOADING,),
@@ -282,10 +204,8 @@ _NODE: Final[Mapping[State, _NodeRow]] = {
         NodeFact.STATUS_UNLOADING: (State.UNLOADING,),
         # An attempt that the container does not know after it was accepted never returns.
         NodeFact.STATUS_UNKNOWN: (State.LOST,),
-        NodeFact.STATUS_UNKNOWN_AGAIN: (State.LOST,),
         NodeFact.REJECTED: (State.LOADED, NodeAction.QUERY),
         NodeFact.LOAD_FAILED: (State.LOADED, NodeAction.QUERY),
-        NodeFact.RELOAD_FAILED: (State.LOADED, NodeAction.QUERY),
     },
     State.UNLOADING: {
         NodeFact.ACCEPTED: (State.UNLOADING, NodeAction.CANCEL),
@@ -293,7 +213,6 @@ _NODE: Final[Mapping[State, _NodeRow]] = {
         # The constructor was quicker than the cancellation.
         NodeFact.LOADED: (State.UNLOADING, NodeAction.UNLOAD),
         NodeFact.LOAD_FAILED: (State.UNLOADED,),
-        NodeFact.RELOAD_FAILED: (State.UNLOADED,),
         NodeFact.UNLOADED: (State.UNLOADED,),
         NodeFact.CRASHED: (State.CRASHED,),
         NodeFact.CONTAINER_LOST: (State.UNLOADED,),
@@ -304,7 +223,6 @@ _NODE: Final[Mapping[State, _NodeRow]] = {
         NodeFact.STATUS_CONSTRUCTING: (State.UNLOADING, NodeAction.CANCEL),
         NodeFact.STATUS_LOADED: (State.UNLOADING, NodeAction.UNLOAD),
         NodeFact.STATUS_UNKNOWN: (State.UNLOADED,),
-        NodeFact.STATUS_UNKNOWN_AGAIN: (State.UNLOADED,),
     },
     State.LOAD_FAILED: {
         NodeFact.LOAD: _LOAD,
@@ -326,4 +244,12 @@ _NODE: Final[Mapping[State, _NodeRow]] = {
         NodeFact.LEAVE: (State.UNLOADED,),
     },
 }
-NODE_TABLE: Final = complete(NodeFact, _NODE)
+"""The state that follows, and actions; a fact that is not in a row changes nothing."""
+
+
+def next_state(node: Node, fact: NodeFact) -> tuple[State, tuple[NodeAction, ...]]:
+    """Apply a fact to a node; a load that was sent twice and is unknown has failed."""
+    if fact is NodeFact.STATUS_UNKNOWN and node.resent and node.state in LOADING:
+        fact = NodeFact.LOAD_FAILED
+    state, *actions = NODE_TABLE[node.state].get(fact, (node.state,))
+    return state, tuple(actions)

@@ -6,6 +6,7 @@ code read nothing else, so all of them can be made from a recording as well.
 
 from __future__ import annotations
 
+from itertools import chain
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -30,22 +31,20 @@ from play_launch.supervisor.events import (
     SubjectKind,
     Withdrawn,
 )
-from play_launch.supervisor.outcome import ENDING_SIGNALS
+from play_launch.supervisor.outcome import ENDING_SIGNALS, described
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Iterable, Mapping
 
 
 _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 
 FAILED_STATES = frozenset({NodeState.LOAD_FAILED, NodeState.CRASHED, NodeState.GAVE_UP})
-DISMISSING = frozenset({"stop", "unload"})
+_DISMISSING = frozenset({"stop", "unload"})
 """Actions whose targets are not expected to run afterwards."""
-RECALLING = frozenset({"start", "restart", "load", "reload", "apply"})
-WAITING_STATES = frozenset(
-    {NodeState.PENDING, NodeState.REQUESTED, NodeState.LOADING, NodeState.LOST}
-)
+_RECALLING = frozenset({"start", "restart", "load", "reload", "apply"})
+_WAITING = frozenset({NodeState.PENDING, NodeState.REQUESTED, NodeState.LOADING, NodeState.LOST})
 _TO_START = frozenset({ProcessEventKind.RESTARTING, ProcessEventKind.WAITING})
 _ALIVE = frozenset({ProcessEventKind.STARTED, ProcessEventKind.READY, ProcessEventKind.STOPPING})
 
@@ -67,7 +66,47 @@ def has_failed(process: ProcessEvent) -> bool:
     return process.kind is ProcessEventKind.EXITED and not has_ended_well(process)
 
 
-class ContainerView(Struct, frozen=True, kw_only=True):
+class _Nodes(Struct, frozen=True, kw_only=True):
+    """What a view tells of its composable nodes."""
+
+    def _all(self) -> Iterable[NodeStateChanged]:
+        raise NotImplementedError
+
+    def _in(self, states: Collection[NodeState]) -> tuple[NodeStateChanged, ...]:
+        return tuple(node for node in self._all() if node.state in states)
+
+    @property
+    def total(self) -> int:
+        return sum(1 for _ in self._all())
+
+    @property
+    def loaded(self) -> int:
+        return len(self._in({NodeState.LOADED}))
+
+    @property
+    def waiting(self) -> tuple[NodeStateChanged, ...]:
+        return self._in(_WAITING)
+
+    @property
+    def unloaded(self) -> tuple[NodeStateChanged, ...]:
+        """The nodes that were unloaded, or are being unloaded, and are not loaded again."""
+        return self._in({NodeState.UNLOADING, NodeState.UNLOADED})
+
+    @property
+    def failed(self) -> tuple[NodeStateChanged, ...]:
+        return self._in(FAILED_STATES)
+
+    @property
+    def crashes(self) -> int:
+        return sum(node.crashes for node in self._all())
+
+    @property
+    def crashed(self) -> tuple[NodeStateChanged, ...]:
+        """All nodes that crashed at least once, reloaded or not."""
+        return tuple(node for node in self._all() if node.crashes)
+
+
+class ContainerView(_Nodes, frozen=True, kw_only=True):
     """One container and its nodes, in the order in which they were announced: as declared."""
 
     name: str
@@ -82,33 +121,8 @@ class ContainerView(Struct, frozen=True, kw_only=True):
     nodes: Mapping[NodeKey, NodeStateChanged] = field(default_factory=_empty)
     """The latest state of each node; its stamp is that of the first event with that state."""
 
-    def _in(self, states: Collection[NodeState]) -> tuple[NodeStateChanged, ...]:
-        return tuple(node for node in self.nodes.values() if node.state in states)
-
-    @property
-    def total(self) -> int:
-        return len(self.nodes)
-
-    @property
-    def loaded(self) -> int:
-        return sum(node.state is NodeState.LOADED for node in self.nodes.values())
-
-    @property
-    def waiting(self) -> tuple[NodeStateChanged, ...]:
-        return self._in(WAITING_STATES)
-
-    @property
-    def unloaded(self) -> tuple[NodeStateChanged, ...]:
-        """The nodes that were unloaded, or are being unloaded, and are not loaded again."""
-        return self._in({NodeState.UNLOADING, NodeState.UNLOADED})
-
-    @property
-    def failed(self) -> tuple[NodeStateChanged, ...]:
-        return self._in(FAILED_STATES)
-
-    @property
-    def crashes(self) -> int:
-        return sum(node.crashes for node in self.nodes.values())
+    def _all(self) -> Iterable[NodeStateChanged]:
+        return self.nodes.values()
 
     def crashed_since(self, before: ContainerView) -> tuple[NodeStateChanged, ...]:
         """Its nodes that crashed after it was as ``before``, reloaded or not."""
@@ -119,7 +133,7 @@ class ContainerView(Struct, frozen=True, kw_only=True):
         )
 
 
-class SystemView(Struct, frozen=True, kw_only=True):
+class SystemView(_Nodes, frozen=True, kw_only=True):
     """Containers and ordinary processes by full name."""
 
     containers: Mapping[str, ContainerView] = field(default_factory=_empty)
@@ -154,21 +168,8 @@ class SystemView(Struct, frozen=True, kw_only=True):
             },
         )
 
-    @property
-    def loaded(self) -> int:
-        return sum(container.loaded for container in self.containers.values())
-
-    @property
-    def total(self) -> int:
-        return sum(container.total for container in self.containers.values())
-
-    @property
-    def waiting(self) -> tuple[NodeStateChanged, ...]:
-        return tuple(node for each in self.containers.values() for node in each.waiting)
-
-    @property
-    def unloaded(self) -> tuple[NodeStateChanged, ...]:
-        return tuple(node for each in self.containers.values() for node in each.unloaded)
+    def _all(self) -> Iterable[NodeStateChanged]:
+        return chain.from_iterable(each.nodes.values() for each in self.containers.values())
 
     @property
     def is_complete(self) -> bool:
@@ -181,16 +182,6 @@ class SystemView(Struct, frozen=True, kw_only=True):
         waiting = any(each.kind in _TO_START for each in self.processes.values())
         under_way = any(each.state in UNDER_WAY for each in self.managed.values())
         return running and not waiting and not under_way and self.loaded == self.total
-
-    @property
-    def failed(self) -> tuple[NodeStateChanged, ...]:
-        return tuple(node for each in self.containers.values() for node in each.failed)
-
-    @property
-    def crashed(self) -> tuple[NodeStateChanged, ...]:
-        """All nodes that crashed at least once, reloaded or not."""
-        nodes = (node for each in self.containers.values() for node in each.nodes.values())
-        return tuple(node for node in nodes if node.crashes)
 
     @property
     def gave_up(self) -> tuple[str, ...]:
@@ -242,9 +233,9 @@ class SystemView(Struct, frozen=True, kw_only=True):
     def _asked(self, event: ActionEvent) -> SystemView:
         """Note the request of an operator: a dismissed unit is so until it is requested again."""
         dismissed = self.dismissed
-        if event.action in DISMISSING:
+        if event.action in _DISMISSING:
             dismissed |= {*event.targets}
-        elif event.action in RECALLING:
+        elif event.action in _RECALLING:
             dismissed -= {*event.targets}
         return self if dismissed == self.dismissed else replace(self, dismissed=dismissed)
 
@@ -345,10 +336,6 @@ def absent(view: SystemView) -> dict[str, str]:
         elif has_failed(process):
             found[process.name] = process.message or "it has failed"
     return found
-
-
-def described(state: NodeState | ContainerState, reason: str) -> str:
-    return f"{state}: {reason}" if reason else str(state)
 
 
 def exit_code(view: SystemView, final: SystemView, signum: int | None) -> int:

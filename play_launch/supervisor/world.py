@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 from msgspec import Struct
 from msgspec.structs import replace
 
-from play_launch.config.model import ContainerConfig, ContainerType
+from play_launch.config.model import ComposableNodeConfig, ContainerConfig, ContainerType
 from play_launch.supervisor.events import ContainerState, ManagedState, NodeState
 from play_launch.supervisor.outcome import Outcome, RestartHistory
 
@@ -21,12 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from play_launch.config.dependency import Condition
-    from play_launch.config.model import (
-        ComposableNodeConfig,
-        ManagedConfig,
-        ProcessConfig,
-        ReplayConfig,
-    )
+    from play_launch.config.model import ManagedConfig, ProcessConfig, ReplayConfig
     from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.change import Change
     from play_launch.supervisor.inputs import ProbeResult
@@ -40,9 +35,7 @@ class Stage(StrEnum):
     PROBING = auto()
     """Its library is being loaded, or going to be loaded, in a scratch process."""
     CLEARED = auto()
-    """Its library can be loaded; the node waits for its turn."""
-    TRIED = auto()
-    """It is being loaded."""
+    """Its library can be loaded; the node waits for its turn, or is being loaded."""
     CONDEMNED = auto()
     """Its library cannot be loaded; it is probed again when the container starts anew."""
     REFUSED = auto()
@@ -91,8 +84,6 @@ class Wait(Struct, frozen=True):
     """When it is reported again that it waits."""
     next_at: float | None = None
     """When time alone may change the conditions."""
-    waived: str = ""
-    """Conditions that are not met and were given up, with ``on_timeout: start``."""
 
 
 class Exit(Struct, frozen=True):
@@ -126,10 +117,8 @@ class Process(Struct, frozen=True, kw_only=True):
     """Of the phase."""
     outcome: Outcome = Outcome()
     """Of the phase."""
-    generation: int = 1
-    """How many starts were requested: by the configuration, operators and changes."""
-    attempted: int = 0
-    """The generation that was started last."""
+    is_requested: bool = True
+    """Whether the configuration, an operator or a change requests a start that has not begun."""
     attempt: int = 0
     """Number of the latest start, unique in the session; 0 before the first."""
     is_present: bool = False
@@ -146,10 +135,11 @@ class Process(Struct, frozen=True, kw_only=True):
     stopped: bool = False
     """Whether the stop of its process has begun."""
     began_at: float = 0.0
-    ready_at: float | None = None
+    """When it started; of a container, when it said hello."""
     due: float | None = None
     """When time ends the phase: hello overdue, SIGKILL without effect, restart due."""
     hello: Hello | None = None
+    """Of a container that is ready."""
     killed_because: str = ""
     is_fatal: bool = False
     """Whether it is not restarted after this death."""
@@ -201,9 +191,8 @@ class Node(Struct, frozen=True, kw_only=True):
     reason: str = ""
     outcome: Outcome = Outcome()
     """Of the state."""
-    generation: int = 0
-    """How many loads were requested by operators and changes."""
-    attempted: int = 0
+    is_requested: bool = False
+    """Whether an operator or a change requests a load that has not begun."""
     attempt: int = 0
     """Number of the latest load, unique in the session; 0 before the first."""
     loaded_into: int = 0
@@ -317,22 +306,17 @@ class World:
         """Units whose rules depend on other units."""
         self.due: list[tuple[float, int, UnitKey]] = []
         """Heap of times at which something may be due; those that are outdated stay in it."""
-        self.lines: frozenset[tuple[str, str]] = frozenset()
-        """Lines that were written: process and pattern."""
-        self.files: frozenset[str] = frozenset()
-        self.graph: frozenset[tuple[Condition, str]] = frozenset()
+        self.met: frozenset[tuple[Condition, str, str]] = frozenset()
+        """Lines, files and the graph, as in `play_launch.supervisor.inputs.Found`."""
         self.starts_made = self.loads_made = 0
         self.change: Change | None = None
         self.stop_order: dict[str, frozenset[str]] = {}
         """Processes that are stopped before each process, once the system stops."""
         self.arrived: frozenset[str] = frozenset()
         """Units that were up once since their start, or failed for good."""
-        for container in config.containers:
-            self.put(Process(config=container))
-            for node in container.composable_nodes:
-                self.put(Node(config=node))
-        for process in config.nodes:
-            self.put(Process(config=process))
+        members: list[ContainerConfig | ProcessConfig] = [*config.containers, *config.nodes]
+        for member in members:
+            self.declare(member)
         for unit, managed in config.managed.items():
             self.put(Goal(unit=unit, config=managed))
 
@@ -342,6 +326,15 @@ class World:
 
     def nodes_of(self, container: str) -> Iterator[Node]:
         return (self.nodes[key] for key in tuple(self.keys.get(container, ())))
+
+    def declare(self, config: ContainerConfig | ProcessConfig | ComposableNodeConfig) -> None:
+        """Put a new unit into the world, a container with its nodes."""
+        if isinstance(config, ComposableNodeConfig):
+            self.put(Node(config=config))
+            return
+        self.put(Process(config=config))
+        for node in config.composable_nodes if isinstance(config, ContainerConfig) else ():
+            self.put(Node(config=node))
 
     def next_start(self) -> int:
         self.starts_made += 1

@@ -267,7 +267,7 @@ async def test_a_failure_can_be_rolled_back() -> None:
         assert [key.name for key in run.view.containers["/box"].nodes] == ["/a", "/old"]
         assert list(run.view.processes) == ["/p"]
         assert run.view.is_complete
-        assert not run.operated.applying.plan(before).differs
+        assert not run.operated.applying.plan(before).steps
         assert run.node_states("/a").count(NodeState.REQUESTED) == 1
 
 
@@ -284,7 +284,7 @@ async def test_what_takes_too_long_fails_and_may_still_come() -> None:
         applied = await run.operated.applying.apply(target, limit=1)
         assert [each.reason for each in applied.outcomes] == ["it takes longer than 1 s"]
         await run.until_loaded(2)
-        assert not run.operated.applying.plan(target).differs
+        assert not run.operated.applying.plan(target).steps
 
 
 @simulated
@@ -415,7 +415,7 @@ def test_any_system_becomes_any_other(chain: list[ReplayConfig], refused: set[st
                 now = pids(launcher)
                 for name in running_before.keys() & now.keys() - touched:
                     assert running_before[name] == now[name]
-                assert not run.operated.applying.plan(target).differs
+                assert not run.operated.applying.plan(target).steps
 
     run_loop(check())
 

@@ -208,7 +208,7 @@ async def test_parameters_that_could_not_be_set_in_time_are_those_of_the_next_lo
         await sys.until_loaded(1)
         target = system(container("c", rate(2)))
         await sys.operated.applying.apply(target, limit=1)
-        assert not sys.operated.applying.plan(target).differs
+        assert not sys.operated.applying.plan(target).steps
         launcher.containers["/c"][0].crash_node("a")
         await sys.until(lambda: len(sys.node_events("/a", NodeState.LOADED)) == 2)
         (box,) = launcher.containers["/c"]

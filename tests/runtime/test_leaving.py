@@ -63,7 +63,7 @@ async def test_what_left_too_slowly_returns_with_the_configuration_that_has_it(
         assert (await sys.operated.applying.apply(BEFORE, limit=200)).succeeded
         assert sys.view.loaded == 2
         assert sys.view.is_complete
-        assert not sys.operated.applying.plan(BEFORE).differs
+        assert not sys.operated.applying.plan(BEFORE).steps
 
 
 async def test_a_node_on_its_way_out_is_not_loaded_again_by_hand() -> None:

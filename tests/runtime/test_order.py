@@ -18,7 +18,7 @@ from play_launch.process.exit import Exit
 from play_launch.ros.access import GraphSource, RosAccess, Wanted
 from play_launch.runtime.commands import StartError
 from play_launch.supervisor import process_rules
-from play_launch.supervisor.conditions import readiness
+from play_launch.supervisor.conditions import may_start
 from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,
@@ -26,7 +26,6 @@ from play_launch.supervisor.events import (
     ProcessEvent,
     ProcessEventKind,
 )
-from play_launch.supervisor.world import World
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, process, system
 from .running import Running, running
@@ -319,12 +318,12 @@ async def test_the_graph_counts_as_it_is_as_long_as_a_unit_waits_for_it() -> Non
 async def test_an_exception_in_the_rules_of_one_process_is_its_failure_alone(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def fails_for_one(world: World, unit: Any, now: float) -> Any:
+    def fails_for_one(step: Any, unit: Any) -> Any:
         if unit.name == "/p":
             raise LookupError("a bug")
-        return readiness(world, unit, now)
+        return may_start(step, unit)
 
-    monkeypatch.setattr(process_rules, "readiness", fails_for_one)
+    monkeypatch.setattr(process_rules, "may_start", fails_for_one)
     async with running(system(process("p"), process("early")), FakeLauncher()) as sys:
         await sys.until(lambda: STARTED in sys.process_events("/early"))
         assert list(sys.gave_up()) == ["/p"]

@@ -84,7 +84,7 @@ async def test_a_start_does_not_keep_a_configuration_from_being_applied(target: 
             sys.operated.start("/p")
         assert (await applying).succeeded
         assert len(sys.launcher.processes["/p"]) == (2 if target is CHANGED else 1)
-        assert not sys.operated.applying.plan(target).differs
+        assert not sys.operated.applying.plan(target).steps
 
 
 async def test_a_stop_that_takes_too_long_names_only_what_still_runs() -> None:

@@ -48,8 +48,8 @@ class Machine:
         self.world = World(self.config, starts=self.chance.choice((1, 2, 16), "starts"))
         self.view = SystemView()
         self.trace: list[tuple[float, said.Input, list[said.Effect]]] = []
-        self.files: set[str] = set()
-        self.topics: set[str] = set()
+        self.met: set[tuple[Condition, str, str]] = set()
+        """Files and topics that are there, and lines that were written."""
         self.faults = self.chance.choice((0.0, 0.2, 0.5), "faults")
         """How likely everything is to go wrong."""
         self.steps = 0
@@ -112,6 +112,8 @@ class Machine:
         self.checks.after(one, before, effects, events)
         for effect in effects:
             self._carry_out(effect)
+        if self.world.change is None:
+            self.person.change_ended()
 
     def publish(self, events: list[RunEvent]) -> None:
         for event in events:
@@ -138,7 +140,7 @@ class Machine:
                 self.processes.stop(effect.unit, effect.start)
             case said.Load():
                 self.nodes.load(effect.node, effect.attempt)
-            case said.Cancel() | said.Unload():
+            case said.Unload():
                 self.nodes.unload(effect.container, effect.unique_id)
             case said.Query():
                 self.nodes.query(effect)
@@ -152,8 +154,6 @@ class Machine:
                 self.person.set_parameters(effect)
             case StepOutcome():
                 self.person.step_ended(effect)
-            case said.ChangeEnded():
-                self.person.change_ended()
             case said.End():
                 self.post(said.StopRequested(effect.reason))
             case _:
@@ -165,12 +165,18 @@ class Machine:
     # The world outside.
 
     def touch_file(self) -> None:
-        self.files ^= {self.chance.choice(systems.FILES, "file")}
-        self.post(said.FilesSeen(frozenset(self.files)))
+        self.touch((Condition.FILE, "", self.chance.choice(systems.FILES, "file")))
 
     def touch_topic(self) -> None:
-        self.topics ^= {self.chance.choice(systems.TOPICS, "topic")}
-        self.post(said.GraphSeen(frozenset((Condition.TOPIC, each) for each in self.topics)))
+        self.touch((Condition.TOPIC, "", self.chance.choice(systems.TOPICS, "topic")))
+
+    def touch(self, condition: tuple[Condition, str, str]) -> None:
+        self.met ^= {condition}
+        self.post(said.Found(frozenset(self.met)))
+
+    def write(self, line: tuple[Condition, str, str]) -> None:
+        self.met.add(line)
+        self.post(said.Found(frozenset(self.met)))
 
     def is_over(self) -> bool:
         return has_ended(self.world)

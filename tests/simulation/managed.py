@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from play_launch.supervisor import inputs as said
+from play_launch.supervisor.events import ManagedState
 from play_launch.supervisor.inputs import ManagedInput
 
 if TYPE_CHECKING:
@@ -31,9 +32,9 @@ class ManagedNodes:
 
     def transit(self, effect: said.Transit) -> None:
         leads_to = {
-            "configure": ManagedInput.IS_INACTIVE,
-            "activate": ManagedInput.IS_ACTIVE,
-        }[effect.action]
+            ManagedState.CONFIGURING: ManagedInput.IS_INACTIVE,
+            ManagedState.ACTIVATING: ManagedInput.IS_ACTIVE,
+        }[effect.to]
         self._answer(effect.unit, effect.instance, leads_to)
 
     def _answer(self, unit: str, instance: int, fact: ManagedInput) -> None:

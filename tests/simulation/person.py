@@ -112,7 +112,9 @@ class Person:
 
     def change_ended(self) -> None:
         machine = self._machine
-        assert self.target is not None
+        if self.target is None:
+            return
+        self._machine.checks.seen.change_ended()
         held = [each.step for each in self.done if each.holds]
         machine.config = after(machine.config, self.target, held)
         self.target = None

@@ -6,6 +6,7 @@ import itertools
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+from play_launch.config.dependency import Condition
 from play_launch.supervisor import inputs as said
 from play_launch.supervisor.transitions import NodeFact
 from play_launch.supervisor.world import Exit, Hello
@@ -102,7 +103,8 @@ class Processes:
             machine.later(delay, lambda: self.end(proc, code, signal))
         if not proc.is_container:
             if not machine.is_unlucky(1.0, f"writes no line: {unit}"):
-                machine.post_later(machine.soon(1.0, f"line {unit}"), said.LineSeen(unit, "ready"))
+                line = (Condition.LOG, unit, "ready")
+                machine.later(machine.soon(1.0, f"line {unit}"), lambda: machine.write(line))
             return
         delay = machine.soon(1.0, f"hello {unit}")
         if proc.is_attached:  # it comes when it likes

@@ -106,7 +106,6 @@ class Seen:
         """What the change that is being carried out is about."""
         self.unremoved: set[str] = set()
         """What could not be taken out in time, and may go later."""
-        self.lines: set[tuple[str, str]] = set()
         self.ends_all: str = ""
         """What has to end the whole system."""
         self.born = machine.now
@@ -137,8 +136,6 @@ class Seen:
                     self.stop_reason, self.stopped_at = one.reason, now
             case said.Failed():
                 self.starts[one.unit].is_fatal = True
-            case said.LineSeen():
-                self.lines.add((one.unit, one.pattern))
             case said.Exited() | said.NotStarted():
                 self._ends(one)
             case said.NodeReported():
@@ -244,11 +241,12 @@ class Seen:
                     effect.result is Result.FAILED and effect.step.action is PlanAction.REMOVE
                 )
                 (self.unremoved.add if has_failed else self.unremoved.discard)(effect.step.name)
-            case said.ChangeEnded():
-                self.is_changing = False
-                self.changing.clear()
             case _:
                 pass
+
+    def change_ended(self) -> None:
+        self.is_changing = False
+        self.changing.clear()
 
     def event(self, event: RunEvent) -> None:
         """Note what was published."""

@@ -177,12 +177,8 @@ class StartChecks:
     def holds(self, dependency: Dependency) -> bool:
         machine, unit = self._machine, dependency.unit
         match dependency.condition:
-            case Condition.FILE:
-                return dependency.subject in machine.files
-            case Condition.TOPIC:
-                return dependency.subject in machine.topics
-            case Condition.LOG:
-                return (unit, dependency.subject) in self._seen.lines
+            case Condition.FILE | Condition.TOPIC | Condition.LOG as kind:
+                return (kind, unit, dependency.subject) in machine.met
             case Condition.ACTIVE:
                 goal: ManagedNodeChanged | None = machine.view.managed.get(unit)
                 return goal is not None and goal.state is ManagedState.ACTIVE

@@ -96,7 +96,7 @@ def test_applied_twice_does_nothing(
     first = made(running, absent, target)
     then = after(running, target, first.to_do)
     assert plan(then, target).to_do == ()
-    assert not plan(target, target).differs
+    assert not plan(target, target).steps
 
 
 @A_FEW

@@ -30,7 +30,7 @@ from play_launch.recording.topic_recorder import SnapshotError, WrittenBuffer
 from play_launch.recording.topic_recorder import link as wire
 from play_launch.ros.fastdds.middleware import asks_for_fastdds
 from play_launch.ros.fastdds.shared_memory import sweep_shared_memory
-from play_launch.supervisor.outcome import Restart, RestartHistory, decide
+from play_launch.supervisor.outcome import RestartHistory, decide
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -158,17 +158,15 @@ class TopicRecording:
             history, decision = decide(
                 history, _RESTARTS, now=now, lived=now - began, jitter=jitter
             )
-            if not isinstance(decision, Restart):
-                _log.warning(
-                    "topics of ROS are not recorded any more: %s; %s", reason, decision.reason
-                )
+            if isinstance(decision, str):
+                _log.warning("topics of ROS are not recorded any more: %s; %s", reason, decision)
                 return
             _log.warning(
                 "topics of ROS are not recorded for %.1f s: %s; it is started again",
-                decision.delay,
+                decision,
                 reason,
             )
-            await asyncio.sleep(decision.delay)
+            await asyncio.sleep(decision)
 
     async def _live(self) -> str:
         """Run it once; the reason why it has ended."""
