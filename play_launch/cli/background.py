@@ -107,7 +107,7 @@ class Background(Struct):
         await asyncio.sleep(_START_TIME)
         from play_launch.process.sampling.sampling import sample  # noqa: PLC0415
 
-        folder = self.session.folder.path
+        folder = self.session.folder
         publisher = self.publisher
         await sample(lambda: publisher.view, publisher.publish, period=period, folder=folder)
 
@@ -117,7 +117,7 @@ class Background(Struct):
         from play_launch.postmortem.upkeep import look_after_sessions  # noqa: PLC0415
 
         keep, publisher = self.config.record.keep, self.publisher
-        folder = self.session.folder.path.parent
+        folder = self.session.folder.parent
         await look_after_sessions(folder, keep, lambda: publisher.view, spawn_guard())
 
     async def _record_topics(self) -> None:

@@ -169,7 +169,7 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
             record=config.record,
         )
         # Before the announcement: its readers can connect at once.
-        control = ControlSocket(str(session.folder.path))
+        control = ControlSocket(str(session.folder))
         opened.callback(control.close)
         _announce(config, session, options)
         display = Display(_style(options), quiet=options.quiet)
@@ -268,11 +268,11 @@ def _announce(config: ReplayConfig, session: Session, options: RunOptions) -> No
             "event": "session",
             "id": session.id,
             "name": config.name,
-            "folder": str(session.folder.path),
+            "folder": str(session.folder),
         }
         _say(encode(values))
     else:
-        _say(f"{config.name}: {describe(config)}, recording to {session.folder.path}")
+        _say(f"{config.name}: {describe(config)}, recording to {session.folder}")
 
 
 def _say(text: str) -> None:

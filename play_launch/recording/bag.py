@@ -13,9 +13,8 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from msgspec import Struct
-
-from play_launch.container.cdr.layout import CdrError, Layout
+from play_launch.config.model import RotateConfig
+from play_launch.container.cdr.layout import Layout
 from play_launch.recording.errors import WriteFailedError, reason
 from play_launch.recording.folder import IndexedFile, IndexedTopic, part_path, write_index
 from play_launch.recording.mcap_file import McapFile
@@ -47,13 +46,6 @@ _INFINITE_LIFESPAN: Final = re.compile(r"\blifespan:\s*\{?\s*sec: (?:9223372036|
 _log = logging.getLogger(__name__)
 
 
-class Rotation(Struct, frozen=True):
-    """When another file is begun: at so many bytes, after so many seconds."""
-
-    size: float = math.inf
-    duration: float = math.inf
-
-
 class _Latched(NamedTuple):
     data: bytes
     publish_time: int
@@ -77,7 +69,7 @@ class BagWriter:
         path: Path,
         *,
         definition: Callable[[str], str] = message_definition,
-        rotation: Rotation | None = None,
+        rotation: RotateConfig | None = None,
         sync: float = math.inf,
         has_index: bool = False,
         ros_distro: str = "",
@@ -91,7 +83,7 @@ class BagWriter:
         """
         self._first_path = path
         self._definition = definition
-        self._rotation = rotation or Rotation()
+        self._rotation = rotation or RotateConfig(math.inf, math.inf)
         self._has_index = has_index
         self._ros_distro = ros_distro
         self._now = now
@@ -99,8 +91,8 @@ class BagWriter:
         self._definitions: dict[str, str] = {}
         self._head: dict[str, Callable[[McapFile], None]] = {}
         self._has_messages = False
-        self.unflushed = 0
-        """Messages, attachments and metadata since the last flush."""
+        self.has_unflushed = False
+        """Whether something was put into the bag since the last flush."""
         self._by_key: dict[tuple[int, str], _Latched] = {}
         self._by_topic: dict[int, deque[_Latched]] = {}
         self._finished_bytes = 0
@@ -110,8 +102,7 @@ class BagWriter:
         self._not_before = 0.0
         self._completed: list[IndexedFile] = []
         """Belongs to the thread of the disk."""
-        with self._write_errors():
-            self._file = self._begin(0)
+        self._file = self._begin(0)
         self._disk = _DiskThread(sync)
 
     @property
@@ -155,8 +146,7 @@ class BagWriter:
 
         The latest message of each ``key`` of a channel is repeated when another file is begun.
         """
-        self._has_messages = True
-        self.unflushed += 1
+        self._has_messages = self.has_unflushed = True
         if key:
             self._by_key[channel, key] = _Latched(data, publish_time)
         file = self._file
@@ -170,10 +160,9 @@ class BagWriter:
         When it fails, nothing of the chunk is in the bag: it is to be appended again.
         """
         self._has_messages = True
-        with self._write_errors():
-            self._file.append_chunk(chunk)
+        self._file.append_chunk(chunk)
         # It is in the file now: whatever is wrong with it, it is not to be appended again.
-        with contextlib.suppress(OSError, struct.error, CdrError):
+        with contextlib.suppress(OSError, struct.error, ValueError):
             self._note_latched(chunk)
         self.flush()  # nothing is left to write
 
@@ -195,11 +184,8 @@ class BagWriter:
     def flush(self) -> None:
         """Pass everything to the kernel: it then survives the death of this process."""
         file = self._file
-        try:
-            file.commit()
-        except OSError as error:
-            raise WriteFailedError(file.path, error) from error
-        self.unflushed = 0
+        file.commit()
+        self.has_unflushed = False
         self._disk.sync_soon(file)
         now = time.monotonic()
         if (
@@ -221,8 +207,7 @@ class BagWriter:
 
     def close(self) -> None:
         """Complete the file, make it durable and give it its final name."""
-        with self._write_errors():
-            self._file.finish()
+        self._file.finish()
         self._complete(self._file)
         self._disk.close()
 
@@ -237,7 +222,7 @@ class BagWriter:
     ) -> None:
         if is_repeated or not self._has_messages:
             self._head[name] = record
-        self.unflushed += 1
+        self.has_unflushed = True
         record(self._file)
 
     def _begin(self, number: int) -> McapFile:
@@ -284,18 +269,16 @@ class BagWriter:
         old = self._file
         try:
             following = self._begin(self._number + 1)
-        except OSError as error:
+        except WriteFailedError as error:
             self._not_before = time.monotonic() + _ROTATION_RETRY
             _log.warning(
-                "cannot begin another file, the recording stays in %s: %s", old.path, reason(error)
+                "cannot begin another file, the recording stays in %s: %s", old.path, error
             )
             return
         try:
             old.finish()
-        except OSError as error:
-            _log.error(
-                "%s cannot be completed: %s; the next start completes it", old.path, reason(error)
-            )
+        except WriteFailedError as error:
+            _log.error("%s; the next start completes it", error)
             self._disk.do(old, old.abandon)
         else:
             self._complete(old)
@@ -306,14 +289,14 @@ class BagWriter:
         self._disk.sync_soon(following)
 
     def _complete(self, file: McapFile) -> None:
-        name = part_path(self._first_path, self._number).name
+        name, known = part_path(self._first_path, self._number).name, file.statistics
         counts = {
-            IndexedTopic(topic.name, topic.type_name, topic.offered_qos_profiles): file.counts.get(
-                channel, 0
-            )
+            IndexedTopic(
+                topic.name, topic.type_name, topic.offered_qos_profiles
+            ): known.channel_message_counts.get(channel, 0)
             for channel, topic in self._topics.items()
         }
-        indexed = IndexedFile(name, *file.log_times, counts)
+        indexed = IndexedFile(name, known.message_start_time, known.message_end_time, counts)
 
         def complete() -> None:
             file.complete()
@@ -326,14 +309,6 @@ class BagWriter:
                 _log.warning("cannot write the index of %s: %s", self._first_path, reason(error))
 
         self._disk.do(file, complete)
-
-    @contextlib.contextmanager
-    def _write_errors(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            path = self._file.path if hasattr(self, "_file") else self._first_path
-            raise WriteFailedError(path, error) from error
 
 
 class _DiskThread:
@@ -352,7 +327,7 @@ class _DiskThread:
         """It is going to be synced with what it has now."""
         self._failed: McapFile | None = None
         self._error: WriteFailedError | None = None
-        self._is_closing = False
+        self._closing = threading.Event()
         # A daemon: the end of the program must not wait for a disk that never answers.
         self._thread = threading.Thread(target=self._run, name="recorder-disk", daemon=True)
         self._thread.start()
@@ -369,41 +344,28 @@ class _DiskThread:
 
     def close(self) -> None:
         """Wait for the jobs; raise the first error of one. Nothing may follow."""
-        self._is_closing = True
+        self._closing.set()
         self._jobs.put(None)
         self._thread.join()
         if self._error is not None:
             raise self._error
 
     def _run(self) -> None:
-        dirty: McapFile | None = None
-        due = math.inf
-        while True:
-            try:
-                left = max(0.0, due - time.monotonic())
-                item = self._jobs.get(timeout=None if left == math.inf else left)
-            except queue.Empty:
-                self._awaited, due = None, math.inf
-                if dirty is not None:
-                    try:
-                        dirty.sync()
-                    except OSError as error:
-                        self._report(dirty, error)
-                continue
-            if item is None:
-                return
+        while (item := self._jobs.get()) is not None:
             file, job = item
             if job is None:
-                dirty, due = file, min(due, time.monotonic() + self._period)
-                continue
+                if self._closing.wait(self._period):
+                    continue  # a job for the file follows
+                self._awaited = None
             try:
-                job()
+                (job or file.sync)()
             except OSError as error:
-                self._error = self._error or WriteFailedError(file.path, error)
+                if job is not None:
+                    self._error = self._error or WriteFailedError(file.path, error)
                 self._report(file, error)
 
     def _report(self, file: McapFile, error: OSError) -> None:
-        if self._failed is file or self._is_closing:
+        if self._failed is file or self._closing.is_set():
             return
         self._failed = file
         if isinstance(error, FileNotFoundError):

@@ -67,15 +67,14 @@ class TopicChunk(Struct, frozen=True):
             return False
 
     def messages_of(self, part: ChannelPart) -> Iterator[tuple[bytes, int]]:
-        """Read data and publish time of the messages of a channel; may raise ``OSError``."""
-        at = part.index_offset + INDEX.size
-        entries = os.pread(self.descriptor, ENTRY.size * part.messages, at)
-        for _, offset in ENTRY.iter_unpack(entries):
-            begin = CHUNK_HEAD + offset
-            head = os.pread(self.descriptor, MESSAGE.size, begin)
-            _, length, _, _, _, publish_time = MESSAGE.unpack(head)
-            size = length - (MESSAGE.size - 9)
-            yield os.pread(self.descriptor, size, begin + MESSAGE.size), publish_time
+        """Read data and publish time of the messages of a channel.
+
+        Raises:
+            OSError, ValueError, struct.error: When the chunk is not what it should be.
+        """
+        with mmap.mmap(self.descriptor, self.length, access=mmap.ACCESS_READ) as data:
+            for begin, end, publish_time in _messages(data, part):
+                yield data[begin:end], publish_time
 
     def mask(self, channels: Collection[int], secrets: re.Pattern[bytes]) -> None:
         """Write asterisks over secrets in the messages of some channels; all lengths stay.
@@ -87,18 +86,24 @@ class TopicChunk(Struct, frozen=True):
         if not parts:
             return
         with mmap.mmap(self.descriptor, self.length) as data:
-            found = False
-            for part in parts:
-                index = part.index_offset + INDEX.size
-                entries = data[index : index + ENTRY.size * part.messages]
-                for _, offset in ENTRY.iter_unpack(entries):
-                    begin = CHUNK_HEAD + offset
-                    end = begin + 9 + MESSAGE.unpack_from(data, begin)[1]
-                    # A list, for the search holds the memory that is written to.
-                    spans = secrets.finditer(data, begin + MESSAGE.size, end)
-                    for secret in [each.span() for each in spans]:
-                        data[slice(*secret)] = b"*" * (secret[1] - secret[0])
-                        found = True
+            # Lists, for the search holds the memory that is written to.
+            found = [
+                match.span()
+                for part in parts
+                for begin, end, _ in _messages(data, part)
+                for match in list(secrets.finditer(data, begin, end))
+            ]
+            for begin, end in found:
+                data[begin:end] = b"*" * (end - begin)
             if found:
                 records = data[CHUNK_HEAD : CHUNK_HEAD + self.records_length]
                 _CHECKSUM.pack_into(data, _CHECKSUM_AT, zlib.crc32(records))
+
+
+def _messages(data: mmap.mmap, part: ChannelPart) -> Iterator[tuple[int, int, int]]:
+    """Return begin and end of the data of each message of a channel, and its publish time."""
+    at = part.index_offset + INDEX.size
+    for _, offset in ENTRY.iter_unpack(data[at : at + ENTRY.size * part.messages]):
+        begin = CHUNK_HEAD + offset
+        _, length, _, _, _, publish_time = MESSAGE.unpack_from(data, begin)
+        yield begin + MESSAGE.size, begin + 9 + length, publish_time

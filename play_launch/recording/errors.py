@@ -15,17 +15,6 @@ class RecordingError(UserError):
     """The recording cannot be started or cannot go on."""
 
 
-class SessionFolderError(RecordingError):
-    """No folder for the session could be made below the log folder."""
-
-    def __init__(self, folder: Path, cause: OSError) -> None:
-        """``folder`` is what could not be made, ``cause`` the system's answer."""
-        super().__init__(
-            f"cannot make the session folder {folder}: {reason(cause)}; "
-            "choose another place with --log-dir DIR or PLAY_LAUNCH_LOG_DIR"
-        )
-
-
 class WriteFailedError(RecordingError):
     """The file took no more data; ``path`` holds everything up to the last complete chunk."""
 

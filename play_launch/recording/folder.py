@@ -7,6 +7,7 @@ import os
 import re
 import stat
 from collections import Counter
+from contextlib import suppress
 from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple
 
 if TYPE_CHECKING:
@@ -21,24 +22,12 @@ BAG_NAME: Final = "session.mcap"
 ORDER_NAME: Final = ".order"
 """In the log folder: the names of sessions in the order of their starts, one a line. The folders
 are named after the time, but the clock of a robot may begin anywhere, and be set at any time."""
-_STEM: Final = "session"
-
-
 INDEX_NAME: Final = "metadata.yaml"
 NEW_SUFFIX: Final = ".new"
 """Appended to its name until it is whole."""
 _VERSION: Final = 8
 """With the quality of service as text; 9 has a list there, which older versions do not read."""
-_NUMBERED: Final = re.compile(r"(?P<stem>.*?)(?:_(?P<number>[1-9][0-9]{0,8}))?\.mcap")
-
-
-class Age(NamedTuple):
-    """Sorts sessions, the oldest first."""
-
-    place: int
-    """In the order of starts; those that are not in it came from elsewhere, or before there was
-    one."""
-    name: str
+_PART: Final = re.compile(r"session(?:_([1-9][0-9]{0,8}))?\.mcap")
 
 
 def note_start(folder: Path) -> None:
@@ -47,15 +36,18 @@ def note_start(folder: Path) -> None:
         file.write(os.fsencode(folder.name) + b"\n")
 
 
-def age_in(log_folder: Path) -> Callable[[str], Age]:
-    """Give what tells the age of a session in a log folder by its name."""
+def age_in(log_folder: Path) -> Callable[[str], tuple[int, str]]:
+    """Give what sorts the sessions of a log folder by their names, the oldest first.
+
+    Those that are not in the order of starts came from elsewhere, or before there was one.
+    """
     try:
         with os.fdopen(open_regular(log_folder / ORDER_NAME), "rb") as file:
             names = file.read().splitlines()
     except OSError:
         names = []
     places = {os.fsdecode(name): place for place, name in enumerate(names)}
-    return lambda name: Age(places.get(name, -1), name)
+    return lambda name: (places.get(name, -1), name)
 
 
 class PartFile(NamedTuple):
@@ -76,53 +68,34 @@ def part_path(first: Path, number: int) -> Path:
     return first if number == 0 else first.with_name(f"{first.stem}_{number}{first.suffix}")
 
 
-def part_number(name: str) -> int | None:
-    """The number of a part, by its final name; None where it is no name of one."""
-    found = _NUMBERED.fullmatch(name)
-    return None if found is None else int(found["number"] or 0)
+def part_file(path: Path) -> PartFile | None:
+    """Read a file's name; None for a file that is no part of a session's recording."""
+    found = _PART.fullmatch(path.name.removesuffix(ACTIVE_SUFFIX))
+    return None if found is None else PartFile(path, int(found[1] or 0))
 
 
 def parts_of(folder: Path) -> list[PartFile]:
     """The files of the recording in this folder, in order; may raise ``OSError``.
 
     Of a file that has been completed and of what it was made of, only the former. One that was
-    begun and holds nothing yet is left out.
+    begun and holds nothing yet is left out: its writer was killed before it wrote the head.
     """
     found: dict[int, PartFile] = {}
-    for path in folder.iterdir():
-        part = part_file(path)
-        if part is None or (part.is_active and is_empty(path)):
-            continue
-        other = found.get(part.number)
-        if other is None or other.is_active:
+    for part in filter(None, map(part_file, folder.iterdir())):
+        size = 1  # of one that was completed meanwhile, which `open_bag` finds
+        with suppress(OSError):
+            size = part.path.stat(follow_symlinks=False).st_size
+        if not part.is_active:
             found[part.number] = part
+        elif size > 0:
+            found.setdefault(part.number, part)
     return [found[number] for number in sorted(found)]
 
 
 def active_parts(folder: Path) -> list[PartFile]:
     """The files that were not completed, in order; may raise ``OSError``."""
-    found = (part_file(path) for path in folder.iterdir())
-    active = [part for part in found if part is not None and part.is_active]
-    return sorted(active, key=lambda part: part.number)
-
-
-def is_empty(path: Path) -> bool:
-    """Whether a file is there and holds nothing: its writer was killed before it wrote the head."""
-    try:
-        return path.stat(follow_symlinks=False).st_size == 0
-    except OSError:
-        return False
-
-
-def part_file(path: Path) -> PartFile | None:
-    """Read a file's name; None for a file that is no part of a session's recording."""
-    name = path.name.removesuffix(ACTIVE_SUFFIX)
-    number = part_number(name)
-    if number is None or not name.startswith((f"{_STEM}.", f"{_STEM}_")):
-        return None
-    if number == 0 and name != BAG_NAME:
-        return None
-    return PartFile(path, number)
+    found = filter(None, map(part_file, folder.iterdir()))
+    return sorted((part for part in found if part.is_active), key=lambda part: part.number)
 
 
 def beside(recording: Path, ending: str) -> Path:
@@ -131,7 +104,7 @@ def beside(recording: Path, ending: str) -> Path:
     `postmortem.archive` has to know the ending, or a file made there keeps its session.
     """
     if recording.is_dir():
-        return recording / f"{_STEM}{ending}"
+        return recording / f"session{ending}"
     name = recording.name.removesuffix(ACTIVE_SUFFIX).removesuffix(".mcap")
     return recording.with_name(f"{name}{ending}")
 

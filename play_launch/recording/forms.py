@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar, assert_never
+from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
 
 from play_launch.config.node_key import NodeKey
 from play_launch.container.cdr.messages import (
@@ -18,6 +18,7 @@ from play_launch.container.cdr.messages import (
 )
 from play_launch.recording import topics
 from play_launch.recording.console_format import ERROR, WARN, line_level
+from play_launch.recording.topics import Topic
 from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,
@@ -51,7 +52,6 @@ if TYPE_CHECKING:
     from enum import Enum
 
     from play_launch.container.cdr.layout import Layout
-    from play_launch.recording.topics import Topic
 
 _Event = TypeVar("_Event")
 
@@ -66,12 +66,22 @@ class Column(NamedTuple):
     read: Callable[[Any], Any] | None = None
 
 
+class TopicMessage(NamedTuple):
+    """One message for the bag."""
+
+    topic: Topic
+    data: bytes
+    key: str = ""
+    """Of a message that holds until the next one with this key."""
+
+
 class Form(Generic[_Event]):
-    """How events of one class stand in messages of one layout."""
+    """How events of one class stand in messages of a topic."""
 
     def __init__(
         self,
         event: type[_Event],
+        topic: Topic | Callable[[Any], Topic],
         layout: Layout,
         *columns: Column,
         besides: Callable[[_Event], Mapping[str, Any]] = lambda _: {},
@@ -80,8 +90,10 @@ class Form(Generic[_Event]):
 
         `besides` gives what a message says as well, but is not needed to read it.
         """
-        self.layout = layout
-        self._event = event
+        self.type = event
+        self._topic = topic
+        self._layout = layout
+        columns = (Column("stamp_ns", "stamp"), *columns)
         alike = set(fields_of(event)) & layout.types.keys()
         alike -= {column.attribute for column in columns}
         self._columns = (*columns, *(Column(name, name) for name in sorted(alike)))
@@ -90,21 +102,26 @@ class Form(Generic[_Event]):
         assert len(plain) > 1, "of one attribute, what follows would give no tuple"
         self._plain_fields = [column.field for column in plain]
         self._plain_values = attrgetter(*(column.attribute for column in plain))
-        self._others = [column for column in self._columns if column.write is not None]
+        self._others = [
+            (column.attribute, column.field, column.write) for column in columns if column.write
+        ]
         self._besides = besides
 
-    def write(self, event: _Event) -> bytes:
-        """Serialise an event.
+    def message(self, event: _Event) -> TopicMessage:
+        """Make the message that records an event.
 
         Raises:
             struct.error: When a number does not fit into its field.
         """
         values = dict(self._besides(event))
         values.update(zip(self._plain_fields, self._plain_values(event), strict=True))
-        for attribute, field, write, _ in self._others:
-            if write is not None:
-                values[field] = write(getattr(event, attribute))
-        return self.layout.write(values)
+        for attribute, field, write in self._others:
+            values[field] = write(getattr(event, attribute))
+        # A state holds until the next one of the same thing.
+        is_state = self._layout is STATE_EVENT and "key" in values
+        key = f"{values['kind']} {values['key']}" if is_state else ""
+        topic = self._topic if isinstance(self._topic, Topic) else self._topic(event)
+        return TopicMessage(topic, self._layout.write(values), key)
 
     def event(self, fields: Mapping[str, Any], **given: Any) -> _Event:
         """Make the event that a message's fields describe; `given` is what it does not hold.
@@ -115,17 +132,15 @@ class Form(Generic[_Event]):
         for attribute, field, _, read in self._columns:
             value = fields[field]
             given[attribute] = read(value) if read else value
-        return self._event(**given)
+        return self.type(**given)
 
 
 def _word(attribute: str, kind: type[Enum]) -> Column:
     """A state is recorded as its name in small letters."""
-    return Column(
-        attribute, "state", lambda state: state.name.lower(), lambda word: kind[word.upper()]
-    )
+    words = {state: state.name.lower() for state in kind}
+    return Column(attribute, "state", words.__getitem__, lambda word: kind[word.upper()])
 
 
-_STAMP: Final = Column("stamp_ns", "stamp")
 _OUTCOME: Final = (
     Column("cause", "cause", None, Cause),
     Column("sequel", "sequel", None, Sequel),
@@ -142,22 +157,22 @@ def _names(event: Withdrawn) -> dict[str, str]:
 
 _NODE: Final = Form(
     NodeStateChanged,
+    topics.STATES,
     STATE_EVENT,
-    _STAMP,
     Column("key", "key", str, NodeKey.parsed),
     _word("state", NodeState),
     Column("reloads", "restarts"),
     *_OUTCOME,
     besides=lambda event: {
         "kind": SubjectKind.NODE,
-        "name": event.node,
-        "container": event.container,
+        "name": event.key.name,
+        "container": event.key.container,
     },
 )
 _CONTAINER: Final = Form(
     ContainerStateChanged,
+    topics.STATES,
     STATE_EVENT,
-    _STAMP,
     Column("container", "key"),
     _word("state", ContainerState),
     *_OUTCOME,
@@ -169,8 +184,8 @@ _CONTAINER: Final = Form(
 )
 _PROCESS: Final = Form(
     ProcessEvent,
+    topics.STATES,
     STATE_EVENT,
-    _STAMP,
     Column("name", "key"),
     _word("kind", ProcessEventKind),
     Column("message", "reason"),
@@ -179,37 +194,37 @@ _PROCESS: Final = Form(
 )
 COMPONENT: Final = Form(
     ComponentEvent,
+    topics.COMPONENT_EVENTS,
     COMPONENT_EVENT,
-    _STAMP,
     Column("kind", "event_type", None, ComponentEventKind),
 )
 WITHDRAWN_STATE: Final = "withdrawn"
 WITHDRAWN: Final = Form(
     Withdrawn,
+    topics.STATES,
     STATE_EVENT,
-    _STAMP,
     Column("kind", "kind", None, SubjectKind),
     besides=lambda event: {"state": WITHDRAWN_STATE, **_names(event)},
 )
 """Whatever it was about: the last state of something that was taken out of the running system."""
-GRAPH: Final = Form(GraphChanged, GRAPH_EVENT, _STAMP)
-ACTION: Final = Form(ActionEvent, ACTION_EVENT, _STAMP, Column("phase", "phase", None, ActionPhase))
+GRAPH: Final = Form(GraphChanged, topics.GRAPH, GRAPH_EVENT)
+ACTION: Final = Form(
+    ActionEvent, topics.ACTIONS, ACTION_EVENT, Column("phase", "phase", None, ActionPhase)
+)
 PROCESS_SAMPLE: Final = Form(
     ProcessSample,
+    lambda sample: topics.stats_topic(sample.kind, sample.key),
     PROCESS_STATS,
-    _STAMP,
     Column("memory_kind", "memory_kind", None, MemoryKind),
 )
-GROUP_SAMPLE: Final = Form(GroupSample, GROUP_STATS, _STAMP)
-SYSTEM_SAMPLE: Final = Form(
-    SystemSample,
-    SYSTEM_STATS,
-    _STAMP,
+GROUP_SAMPLE: Final = Form(
+    GroupSample, lambda sample: topics.group_topic(sample.kind, sample.key), GROUP_STATS
 )
+SYSTEM_SAMPLE: Final = Form(SystemSample, topics.SYSTEM, SYSTEM_STATS)
 _MANAGED: Final = Form(
     ManagedNodeChanged,
+    topics.STATES,
     STATE_EVENT,
-    _STAMP,
     Column("unit", "key"),
     Column("node", "name"),
     _word("state", ManagedState),
@@ -218,8 +233,8 @@ _MANAGED: Final = Form(
 INTERRUPTED_STATE: Final = "interrupted"
 _INTERRUPTED: Final = Form(
     RecordingInterrupted,
+    topics.STATES,
     STATE_EVENT,
-    _STAMP,
     Column("lasted_ns", "elapsed_ns"),
     Column("lost", "culprit"),
     besides=lambda _event: {"kind": SubjectKind.RECORDING, "state": INTERRUPTED_STATE},
@@ -232,6 +247,19 @@ STATES: Final[dict[SubjectKind, Form[Any]]] = {
     SubjectKind.RECORDING: _INTERRUPTED,
 }
 """By what they are about; all have the same layout."""
+_FORMS: Final[dict[type, Form[Any]]] = {
+    form.type: form
+    for form in (
+        *STATES.values(),
+        COMPONENT,
+        WITHDRAWN,
+        GRAPH,
+        ACTION,
+        PROCESS_SAMPLE,
+        GROUP_SAMPLE,
+        SYSTEM_SAMPLE,
+    )
+}
 
 _FAILED: Final = frozenset(
     {
@@ -243,15 +271,6 @@ _FAILED: Final = frozenset(
         ManagedState.FAILED,
     }
 )
-
-
-class TopicMessage(NamedTuple):
-    """One message for the bag."""
-
-    topic: Topic
-    data: bytes
-    key: str = ""
-    """Of a message that holds until the next one with this key."""
 
 
 def is_failure(event: RunEvent) -> bool:
@@ -283,7 +302,15 @@ def convert(event: RunEvent) -> tuple[TopicMessage, ...]:
     """
     match event:
         case OutputLine():
-            return (TopicMessage(topics.OUTPUT, convert_output(event)[0]),)
+            data = log_message(
+                event.stamp_ns,
+                line_level(event),
+                event.process,
+                event.text + " [cut]" if event.truncated else event.text,
+                file=event.stream.value,
+                function=f"pid {event.pid}",
+            )
+            return (TopicMessage(topics.OUTPUT, data),)
         case LogRecord():
             data = log_message(
                 event.stamp_ns,
@@ -298,51 +325,7 @@ def convert(event: RunEvent) -> tuple[TopicMessage, ...]:
             if event.level < WARN:
                 return (everything,)
             return (everything, TopicMessage(topics.LOG, data))
-        case NodeStateChanged():
-            key = f"{SubjectKind.NODE} {event.key}"
-            return (TopicMessage(topics.STATES, _NODE.write(event), key),)
-        case ContainerStateChanged():
-            key = f"{SubjectKind.CONTAINER} {event.container}"
-            return (TopicMessage(topics.STATES, _CONTAINER.write(event), key),)
-        case ProcessEvent():
-            key = f"{SubjectKind.PROCESS} {event.name}"
-            return (TopicMessage(topics.STATES, _PROCESS.write(event), key),)
-        case ManagedNodeChanged():
-            key = f"{SubjectKind.MANAGED} {event.unit}"
-            return (TopicMessage(topics.STATES, _MANAGED.write(event), key),)
-        case RecordingInterrupted():
-            return (TopicMessage(topics.STATES, _INTERRUPTED.write(event)),)
-        case Withdrawn():
-            data = WITHDRAWN.write(event)
-            return (TopicMessage(topics.STATES, data, f"{event.kind} {event.key}"),)
-        case ComponentEvent():
-            # As its container sent it, if one did.
-            data = event.received or COMPONENT.write(event)
-            return (TopicMessage(topics.COMPONENT_EVENTS, data),)
-        case GraphChanged():
-            return (TopicMessage(topics.GRAPH, GRAPH.write(event)),)
-        case ActionEvent():
-            return (TopicMessage(topics.ACTIONS, ACTION.write(event)),)
-        case ProcessSample():
-            topic = topics.stats_topic(event.kind, event.key)
-            return (TopicMessage(topic, PROCESS_SAMPLE.write(event)),)
-        case GroupSample():
-            topic = topics.group_topic(event.kind, event.key)
-            return (TopicMessage(topic, GROUP_SAMPLE.write(event)),)
-        case SystemSample():
-            return (TopicMessage(topics.SYSTEM, SYSTEM_SAMPLE.write(event)),)
-    assert_never(event)
-
-
-def convert_output(line: OutputLine) -> tuple[bytes, int]:
-    """Return the message for a line of output, and the level that it was written at."""
-    level = line_level(line)
-    data = log_message(
-        line.stamp_ns,
-        level,
-        line.process,
-        line.text + " [cut]" if line.truncated else line.text,
-        file=line.stream.value,
-        function=f"pid {line.pid}",
-    )
-    return data, level
+        case ComponentEvent() if event.received:
+            # As its container sent it.
+            return (TopicMessage(topics.COMPONENT_EVENTS, event.received),)
+    return (_FORMS[type(event)].message(event),)

@@ -33,6 +33,7 @@ from zstandard import ZstdCompressor
 
 from play_launch.container.cdr.layout import text_bytes
 from play_launch.recording.chunk import ENTRY, INDEX, MESSAGE
+from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.folder import ACTIVE_SUFFIX
 
 if TYPE_CHECKING:
@@ -70,7 +71,8 @@ class McapFile:
 
     Data is held back until :meth:`commit`, which writes all of it or nothing: on a full disk the
     file ends after the commit before, and a later one continues. While it is open the file is
-    locked (``flock``), by which readers know that it is written. Methods may raise ``OSError``.
+    locked (``flock``), by which readers know that it is written. What writes may raise
+    ``WriteFailedError``.
 
     The package ``mcap`` encodes all records but chunks, which are packed here: three times as fast,
     and those of `topic_recorder` are finished already. Its writer has no way in for such a chunk,
@@ -78,14 +80,17 @@ class McapFile:
     broken chunk loses its own messages only.
     """
 
-    def __init__(self, path: Path, *, library: str = "play_launch") -> None:
+    def __init__(self, path: Path) -> None:
         """Create the file; it must not exist."""
         self._final_path = path
         self.path = path.with_name(path.name + ACTIVE_SUFFIX)
         """Where the data is now."""
         self._descriptor = -1
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        self._descriptor = os.open(self.path, flags, 0o644)
+        try:
+            self._descriptor = os.open(self.path, flags, 0o644)
+        except OSError as error:
+            raise WriteFailedError(self.path, error) from error
         with contextlib.suppress(OSError):  # a file system without locks
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.begun = time.monotonic()
@@ -105,7 +110,7 @@ class McapFile:
         self._compressor = ZstdCompressor(level=3)
         self._has_name = False
         """Whether the name is durable; a file that is synced may be without one."""
-        self._statistics = Statistics(
+        self.statistics = Statistics(
             attachment_count=0,
             channel_count=0,
             channel_message_counts=defaultdict(int),
@@ -117,17 +122,7 @@ class McapFile:
             schema_count=0,
         )
         self._summary: dict[Opcode, list[bytes]] = {kind: [] for kind in _SUMMARY}
-        self._hold(MAGIC + _encoded(Header("ros2", library)))
-
-    @property
-    def counts(self) -> Mapping[int, int]:
-        """Messages of each channel."""
-        return self._statistics.channel_message_counts
-
-    @property
-    def log_times(self) -> tuple[int, int]:
-        """Those of the earliest and the latest message; 0 without any."""
-        return self._statistics.message_start_time, self._statistics.message_end_time
+        self._hold(MAGIC + _encoded(Header("ros2", "play_launch")))
 
     def _hold(self, data: bytes) -> None:
         self._held.append(data)
@@ -136,7 +131,7 @@ class McapFile:
     def register(self, topic: Topic, definition: str) -> int:
         """Describe a topic; return its channel. Channels are numbered from 1 on."""
         schema = self._schemas.get(topic.type_name)
-        known = self._statistics
+        known = self.statistics
         if schema is None:
             known.schema_count += 1
             schema = self._schemas[topic.type_name] = known.schema_count
@@ -175,7 +170,7 @@ class McapFile:
             media_type=media_type,
         )
         self._summary[Opcode.ATTACHMENT_INDEX].append(_encoded(index))
-        self._statistics.attachment_count += 1
+        self.statistics.attachment_count += 1
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         start = self.size
@@ -183,7 +178,7 @@ class McapFile:
         self._hold(_encoded(Metadata(name, texts)))
         index = MetadataIndex(start, self.size - start, name)
         self._summary[Opcode.METADATA_INDEX].append(_encoded(index))
-        self._statistics.metadata_count += 1
+        self.statistics.metadata_count += 1
 
     def add(
         self,
@@ -231,9 +226,9 @@ class McapFile:
                 if count == 0:
                     raise OSError(errno.EIO, f"{at} of {chunk.length} bytes came")  # noqa: TRY301
                 at += count
-        except OSError:
+        except OSError as error:
             self._cut()
-            raise
+            raise WriteFailedError(self.path, error) from error
         index = ChunkIndex(
             message_start_time=chunk.begin,
             message_end_time=chunk.end,
@@ -265,9 +260,9 @@ class McapFile:
                 count = os.pwrite(self._descriptor, rest, at)
                 at += count
                 rest = rest[count:]
-        except OSError:
+        except OSError as error:
             self._cut()
-            raise
+            raise WriteFailedError(self.path, error) from error
         self._held = []
         self.committed = at
         self.committed_messages = self.messages
@@ -276,7 +271,7 @@ class McapFile:
         """Write the rest and the summary; :meth:`complete` is to follow."""
         self.commit()
         self._hold(_encoded(DataEnd(0)))
-        self._summary[Opcode.STATISTICS] = [_encoded(self._statistics)]
+        self._summary[Opcode.STATISTICS] = [_encoded(self.statistics)]
         start = at = self.size
         offsets = b""
         for kind in _SUMMARY:
@@ -380,7 +375,7 @@ class McapFile:
         self._chunk, self._entries = bytearray(), {}
 
     def _note_chunk(self, index: ChunkIndex, counts: Mapping[int, int]) -> None:
-        known = self._statistics
+        known = self.statistics
         begin = index.message_start_time
         known.message_start_time = (
             min(known.message_start_time, begin) if known.chunk_count else begin

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.recording import topics
 from play_launch.recording.clock import CLOCK_METADATA, SessionClock
-from play_launch.recording.console_format import ERROR
+from play_launch.recording.console_format import ERROR, line_level
 from play_launch.recording.decisions import STATES, Decision, written
 from play_launch.recording.errors import RecordingError, SchemaNotFoundError, WriteFailedError
-from play_launch.recording.forms import TopicMessage, convert, convert_output, is_failure
+from play_launch.recording.forms import TopicMessage, convert, is_failure
 from play_launch.recording.limits import LOGGER, DroppedEvents, RecorderLimits, RecordingSummary
 from play_launch.recording.topics import Topic
 from play_launch.supervisor.events import (
@@ -270,7 +270,7 @@ class Recorder:
         with self._changed:
             if not (self._events or self._inputs or self._requests or self._is_closing):
                 left = self._flush_at - time.monotonic()
-                self._changed.wait(max(0.0, left) if bag.unflushed else None)
+                self._changed.wait(max(0.0, left) if bag.has_unflushed else None)
             if self._events and not (self._is_urgent or self._requests or self._is_closing):
                 self._changed.wait(limits.batch)
         gap = self._flushed_at + limits.failure_gap - time.monotonic()
@@ -281,19 +281,23 @@ class Recorder:
             inputs, self._inputs = self._inputs, []
             is_urgent, self._is_urgent = self._is_urgent, False
             is_closing, requests = self._is_closing, len(self._requests)
-        if not bag.unflushed:
+        if not bag.has_unflushed:
             self._flush_at = time.monotonic() + limits.flush
         if jump_ns := self.clock.jump_ns():
             values = {"ahead_ns": str(self.clock.ahead_ns)}
             bag.metadata(CLOCK_METADATA, values, is_repeated=True)
             _log.warning("the system clock was set by %+.3f s", jump_ns / 1e9)
-        if inputs or self._held:
-            self._write_inputs(inputs, events, is_closing=is_closing)
+        batch: list[tuple[int, RunEvent | list[Decision]]] = [*events]
+        self._held += inputs
+        if self._held and (decisions := self._followed_inputs(events, is_closing=is_closing)):
+            batch.insert(0, (events[0][0] if events else self.clock.now(), decisions))
         if self._drops.since_ns:
-            events.append((self.clock.now(), self._take_drops().report()))
-        is_urgent = self._write_events(events) or is_urgent
+            batch.append((self.clock.now(), self._take_drops().report()))
+        is_urgent = self._write(batch) or is_urgent
         try:
-            if bag.unflushed and (is_urgent or is_closing or time.monotonic() >= self._flush_at):
+            if bag.has_unflushed and (
+                is_urgent or is_closing or time.monotonic() >= self._flush_at
+            ):
                 bag.flush()
                 self._flushed_at = time.monotonic()
             for _ in range(requests if is_closing else min(requests, 1)):
@@ -304,80 +308,69 @@ class Recorder:
         else:
             self._is_closed = is_closing and not self._events
 
-    def _write_events(self, events: list[tuple[int, RunEvent]]) -> bool:
-        """Write events; return whether a line among them was an error."""
+    def _write(self, batch: list[tuple[int, RunEvent | list[Decision]]]) -> bool:
+        """Write events and inputs; return whether a line among them was an error."""
         has_error = False
         # In a flood the event loop is busy as well and would in turn keep the lock for 5 ms each
         # time: then only an equal share keeps up.
-        is_flood = len(events) >= _FLOOD
-        self._unwritten = len(events)
-        for number, (received, event) in enumerate(events):
-            self._unwritten -= 1
-            if isinstance(event, OutputLine):
-                data, level = convert_output(event)
-                self._put(topics.OUTPUT, data, received, event.stamp_ns)
-                has_error = has_error or level >= ERROR
-            else:
+        is_flood = len(batch) >= _FLOOD
+        for number, (received, event) in enumerate(batch, 1):
+            self._unwritten = len(batch) - number
+            try:
+                messages: tuple[TopicMessage, ...]
+                if isinstance(event, list):
+                    stamp_ns = received
+                    messages = (TopicMessage(topics.INPUTS, written(event)),)
+                else:
+                    stamp_ns, messages = max(event.stamp_ns, 0), convert(event)
+            except Exception as error:  # noqa: BLE001 - one odd event must not end the recording
+                stamp_ns, messages = received, self._unconvertible(received, event, error)
+            for topic, data, key in messages:
+                if not (channel := self._channels.get(topic) or self._defined(topic)):
+                    self.dropped += 1
+                    continue
                 try:
-                    messages = convert(event)
-                except Exception as error:  # noqa: BLE001 - one odd event must not end the recording
-                    messages = self._unconvertible(1, received, event, error)
-                for topic, data, key in messages:
-                    self._put(topic, data, received, event.stamp_ns, key)
+                    self._bag.write(
+                        channel, data, log_time=received, publish_time=stamp_ns, key=key
+                    )
+                except WriteFailedError as error:
+                    self._wait_for_disk(error)
+            if isinstance(event, OutputLine):
+                has_error = has_error or line_level(event) >= ERROR
             if not is_flood and not number & 63:
                 # Gives up the interpreter lock; otherwise the event loop gets it back only after
                 # the switch interval, 5 ms.
                 time.sleep(0)
         return has_error
 
-    def _write_inputs(
-        self,
-        inputs: list[tuple[int, Decision]],
-        events: list[tuple[int, RunEvent]],
-        *,
-        is_closing: bool,
-    ) -> None:
-        """Hold inputs, and write all of them before an event that they lead to."""
-        self._held += inputs
-        now = self.clock.now()
-        is_old = bool(self._held) and now - self._held[0][0] > _HELD_NS
-        is_followed = any(isinstance(event, STATES) for _, event in events)
-        if not (is_closing or is_old or is_followed or len(self._held) > _HELD_INPUTS):
-            return
-        received = events[0][0] if events else now
+    def _followed_inputs(
+        self, events: list[tuple[int, RunEvent]], *, is_closing: bool
+    ) -> list[Decision]:
+        """Return all inputs that are held before an event that they lead to, or when it is time."""
+        is_due = is_closing or len(self._held) > _HELD_INPUTS
+        is_due = is_due or any(isinstance(event, STATES) for _, event in events)
+        if not is_due and self.clock.now() - self._held[0][0] <= _HELD_NS:
+            return []
         decisions, self._held = [each for _, each in self._held], []
-        try:
-            self._put(topics.INPUTS, written(decisions), received, received)
-        except Exception as error:  # noqa: BLE001 - one odd input must not end the recording
-            kinds = [type(each.said).__name__ for each in decisions]
-            for topic, data, _ in self._unconvertible(len(decisions), received, kinds, error):
-                self._put(topic, data, received, received)
+        return decisions
 
     def _unconvertible(
-        self, count: int, received: int, event: object, error: Exception
+        self, received: int, event: RunEvent | list[Decision], error: Exception
     ) -> tuple[TopicMessage, ...]:
-        self.dropped += count
-        text = f"cannot record this event ({type(error).__name__}: {error}): {event!r}"
+        self.dropped += len(event) if isinstance(event, list) else 1
+        shown = [type(each.said).__name__ for each in event] if isinstance(event, list) else event
+        text = f"cannot record this event ({type(error).__name__}: {error}): {shown!r}"
         return convert(LogRecord(stamp_ns=received, level=ERROR, name=LOGGER, message=text))
 
-    def _put(self, topic: Topic, data: bytes, received: int, stamp_ns: int, key: str = "") -> None:
-        channel = self._channels.get(topic)
-        if channel is None:
-            if topic.type_name in self._undefined:
-                self.dropped += 1
-                return
+    def _defined(self, topic: Topic) -> int:
+        """Announce a topic of events; return its channel, or 0 when its type is not installed."""
+        if topic.type_name not in self._undefined:
             try:
-                channel = self._channels[topic] = self._bag.register(topic)
+                self._channels[topic] = self._bag.register(topic)
             except SchemaNotFoundError as error:
                 self._undefined.add(topic.type_name)
-                self.dropped += 1
                 _log.error("messages of this type are not recorded: %s", error)
-                return
-        stamp_ns = max(stamp_ns, 0)
-        try:
-            self._bag.write(channel, data, log_time=received, publish_time=stamp_ns, key=key)
-        except WriteFailedError as error:
-            self._wait_for_disk(error)
+        return self._channels.get(topic, 0)
 
     def _wait_for_disk(self, error: WriteFailedError) -> None:
         """Return when the bag is flushed; raise when the end of the run comes before."""

@@ -12,7 +12,9 @@ import re
 import shutil
 import sys
 import uuid
+from contextlib import suppress
 from datetime import datetime
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -21,9 +23,9 @@ from msgspec import Struct
 from play_launch.config.model import RecordConfig
 from play_launch.container.cdr.layout import text_bytes
 from play_launch.recording import facts
-from play_launch.recording.bag import BagWriter, Rotation
+from play_launch.recording.bag import BagWriter
 from play_launch.recording.clock import SessionClock
-from play_launch.recording.errors import RecordingError, SessionFolderError, reason
+from play_launch.recording.errors import RecordingError, reason
 from play_launch.recording.folder import BAG_NAME, note_start
 from play_launch.recording.recorder import Recorder
 from play_launch.recording.resolved_form import redacted_arguments
@@ -72,7 +74,7 @@ class Session(Struct, frozen=True):
     """An open session."""
 
     id: str
-    folder: SessionFolder
+    folder: Path
     recorder: Recorder
 
 
@@ -97,8 +99,8 @@ def open_session(
     session_id = str(uuid.uuid4())
     try:
         writer = BagWriter(
-            folder.bag,
-            rotation=Rotation(record.rotate.size, record.rotate.duration),
+            folder / BAG_NAME,
+            rotation=record.rotate,
             sync=record.sync,
             has_index=True,
             ros_distro=_ros_distro(description),
@@ -112,9 +114,9 @@ def open_session(
             raise
     except RecordingError:
         # A service that is started again and again would leave as many folders.
-        shutil.rmtree(folder.path, ignore_errors=True)
+        shutil.rmtree(folder, ignore_errors=True)
         raise
-    folder.announce()
+    announce(folder)
     return Session(session_id, folder, recorder)
 
 
@@ -174,32 +176,27 @@ def _json(values: Mapping[str, object]) -> bytes:
     return text_bytes(json.dumps(values, indent=2, ensure_ascii=False))
 
 
-class SessionFolder(Struct, frozen=True):
-    """Where one session keeps what it writes."""
+def announce(folder: Path) -> None:
+    """Put the folder of a session at the end of their order, and point ``latest`` to it.
 
-    path: Path
-
-    @property
-    def bag(self) -> Path:
-        """The recording's final name; while it is written, ``.active`` is appended."""
-        return self.path / BAG_NAME
-
-    def announce(self) -> None:
-        """Point ``latest`` to it, and put it at the end of the order of sessions.
-
-        ``latest`` is relative, so that the log folder can be moved.
-        """
-        name, latest = self.path.name, self.path.with_name(LATEST)
-        try:
-            note_start(self.path)
-        except OSError as error:
-            _log.warning("cannot note in %s that %s began: %s", latest.parent, name, reason(error))
-        try:
-            _point(latest, name)
-        except OSError as error:
-            # A file system without symbolic links, or another file of that name: the session
-            # itself does not depend on it.
-            _log.warning("cannot point %s to %s: %s", latest, name, reason(error))
+    ``latest`` is relative, so that the log folder can be moved.
+    """
+    name, latest = folder.name, folder.with_name(LATEST)
+    try:
+        note_start(folder)
+    except OSError as error:
+        _log.warning("cannot note in %s that %s began: %s", latest.parent, name, reason(error))
+    # Renaming replaces in one step: a reader finds the old session or the new one, never nothing.
+    temporary = latest.with_name(f".{LATEST}-{name}")
+    try:
+        temporary.symlink_to(name)
+        temporary.replace(latest)
+    except OSError as error:
+        # A file system without symbolic links, or another file of that name: the session
+        # itself does not depend on it.
+        _log.warning("cannot point %s to %s: %s", latest, name, reason(error))
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def default_log_folder(environ: Mapping[str, str] = os.environ) -> Path:
@@ -214,41 +211,26 @@ def default_log_folder(environ: Mapping[str, str] = os.environ) -> Path:
     return Path("~/.ros/play_launch").expanduser()
 
 
-def create_session_folder(log_folder: Path, name: str, now: datetime) -> SessionFolder:
+def create_session_folder(log_folder: Path, name: str, now: datetime) -> Path:
     """Make a new folder for the session.
 
     A second session of the same name in the same second gets ``-2`` appended, and so on. Raises
-    :class:`SessionFolderError`.
+    :class:`RecordingError`.
     """
     stem = f"{now:%Y-%m-%d-%H-%M-%S}-{_file_name(name)}"
     try:
         log_folder.mkdir(parents=True, exist_ok=True)
-        return SessionFolder(_make_unique(log_folder, stem))
+        for number in count(1):
+            folder = log_folder / (stem if number == 1 else f"{stem}-{number}")
+            with suppress(FileExistsError):
+                folder.mkdir()
+                break
     except OSError as error:
-        raise SessionFolderError(log_folder / stem, error) from error
-
-
-def _make_unique(log_folder: Path, stem: str) -> Path:
-    number = 1
-    while True:
-        folder = log_folder / (stem if number == 1 else f"{stem}-{number}")
-        try:
-            folder.mkdir()
-        except FileExistsError:
-            number += 1
-        else:
-            return folder
-
-
-def _point(link: Path, target: str) -> None:
-    # Renaming replaces in one step: a reader finds the old session or the new one, never nothing.
-    temporary = link.with_name(f".{link.name}-{target}")
-    temporary.symlink_to(target)
-    try:
-        temporary.replace(link)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
+        raise RecordingError(
+            f"cannot make the session folder {log_folder / stem}: {reason(error)}; "
+            "choose another place with --log-dir DIR or PLAY_LAUNCH_LOG_DIR"
+        ) from error
+    return folder
 
 
 def _file_name(name: str) -> str:

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from play_launch.config.model import RotateConfig
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
 from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
-from play_launch.recording.bag import BagWriter, Rotation
+from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
 from play_launch.recording.session import METADATA_NAME
 from play_launch.supervisor.events import RunEvent
@@ -25,7 +26,7 @@ from tests.recording.test_states import EVENTS
 
 def record_in_parts(folder: Path, events: list[RunEvent], ends: set[int]) -> Path:
     """Record events; after those numbers another file is begun."""
-    writer = BagWriter(folder / "session.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(folder / "session.mcap", rotation=RotateConfig(size=1))
     writer.metadata(METADATA_NAME, {"name": "x", "started_ns": "500"})
     channels = {topic: writer.register(topic) for topic in topics.ALL_TOPICS}
     for number, event in enumerate(events):

@@ -69,7 +69,7 @@ def test_log_times_go_on_when_the_clock_is_set(
         machine.ahead += step * YEAR
         publish(session, machine, NodeState.CRASHED)
         publish(session, machine, NodeState.LOADED)
-    folder = session.folder.path
+    folder = session.folder
     assert session.recorder.close().error == ""
     assert [
         f"{step * YEAR / SECOND:+.3f} s" in each.getMessage()

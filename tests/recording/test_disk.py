@@ -12,9 +12,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from play_launch.config.model import RotateConfig
 from play_launch.container.cdr.messages import log_message
 from play_launch.postmortem.bag_reader import BagReader
-from play_launch.recording.bag import BagWriter, Rotation
+from play_launch.recording.bag import BagWriter
 from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.limits import RecorderLimits
 from play_launch.recording.recorder import Recorder
@@ -105,7 +106,7 @@ def test_it_is_synced_at_intervals_and_not_when_nothing_is_new(
 def test_another_file_begins_while_the_last_one_is_forced_to_the_disk(
     tmp_path: Path, slow_disk: SlowDisk
 ) -> None:
-    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "x.mcap", rotation=RotateConfig(size=1))
     channel = writer.register(OUTPUT)
     writer.write(channel, b"\0\1\0\0", log_time=1, publish_time=1)
     writer.flush()
@@ -151,7 +152,7 @@ def test_a_file_before_that_cannot_be_completed_is_reported_at_once_and_by_its_n
         really(descriptor)
 
     monkeypatch.setattr(os, "fdatasync", fail_first)
-    writer = BagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1), has_index=True)
+    writer = BagWriter(tmp_path / "session.mcap", rotation=RotateConfig(size=1), has_index=True)
     channel = writer.register(OUTPUT)
     for number in (1, 2, 3):
         writer.write(channel, b"\0\1\0\0", log_time=number, publish_time=number)

@@ -42,7 +42,7 @@ def test_a_start_for_which_there_is_no_room_leaves_nothing(small_disk: Path) -> 
     with pytest.raises(RecordingError, match="No space left on device"):
         open_session(description(), log_folder=small_disk, limits=LIMITS)
     assert sorted(small_disk.iterdir()) == listed
-    assert (small_disk / "latest").samefile(before.folder.path)
+    assert (small_disk / "latest").samefile(before.folder)
 
 
 def publish(session: Session, first: int, count: int) -> None:
@@ -70,7 +70,7 @@ def test_the_run_goes_on_and_what_was_written_stays(small_disk: Path) -> None:
     count = publish_until_interrupted(session)
     summary = session.recorder.close()
     assert "No space left on device" in summary.error
-    assert summary.path == session.folder.path / "session.mcap.active"
+    assert summary.path == session.folder / "session.mcap.active"
     assert summary.interruptions >= 1
     readable = raw_messages(summary.path, OUTPUT.name)
     assert [message.publish_time for message in readable] == list(range(len(readable)))
@@ -101,9 +101,9 @@ def test_it_goes_on_when_there_is_room_again_without_a_gap(
     assert (summary.error, summary.dropped) == ("", 0)
     assert summary.interruptions >= 1
     assert (summary.parts > 1) == (rotate.size < SIZE)
-    reader = BagReader(session.folder.path)
+    reader = BagReader(session.folder)
     stamps = [message.publish_time for message in reader.messages({OUTPUT.name})]
     assert stamps == list(range(count + 110))
     assert (reader.damages, reader.is_complete) == ([], True)
-    read = messages(session.folder.path)
+    read = messages(session.folder)
     assert "a crash" in [one.message.msg for one in read if one.topic == LOG_ALL.name]

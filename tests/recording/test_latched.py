@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from play_launch.config.model import RotateConfig
 from play_launch.container.cdr.messages import NODE_PARAMETERS
 from play_launch.postmortem.bag_reader import BagReader
-from play_launch.recording.bag import BagWriter, Rotation, is_latched
+from play_launch.recording.bag import BagWriter, is_latched
 from play_launch.recording.topics import PARAMETERS, STATES, Topic
 from tests.recording.reading import raw_messages
 from tests.recording.test_topic_chunks import append
@@ -38,7 +39,7 @@ def test_what_is_latched(offered: str, expected: bool) -> None:
 
 
 def test_each_file_has_the_latest_messages_and_together_they_are_read_once(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "session.mcap", rotation=RotateConfig(size=1))
     one = writer.register(Topic("/tf_static", STRING, offered=LATCHED))
     two = writer.register(Topic("/image", STRING, offered=VOLATILE))
     for messages in (
@@ -68,7 +69,7 @@ def test_each_file_has_the_latest_parameters_of_each_node(tmp_path: Path) -> Non
     def answer(node: str, stamp: int) -> bytes:
         return NODE_PARAMETERS.write({"stamp": stamp, "node": node})
 
-    writer = BagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "session.mcap", rotation=RotateConfig(size=1))
     channel = writer.register(PARAMETERS)
     for messages in (
         [(channel, 1, answer("/a", 1)), (channel, 2, answer("/b", 2))],
@@ -83,7 +84,7 @@ def test_each_file_has_the_latest_parameters_of_each_node(tmp_path: Path) -> Non
 
 
 def test_large_ones_and_many_are_limited(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "session.mcap", rotation=Rotation(size=3_000_000))
+    writer = BagWriter(tmp_path / "session.mcap", rotation=RotateConfig(size=3_000_000))
     for name in ("/map", "/x"):
         writer.register(Topic(name, STRING, offered=LATCHED))
     for number in range(1, 4):

@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 from mcap.records import Attachment, Header, Metadata
 
-from play_launch.recording.errors import SessionFolderError
+from play_launch.recording.errors import RecordingError
 from play_launch.recording.session import (
     SessionDescription,
+    announce,
     create_session_folder,
     default_log_folder,
     open_session,
@@ -36,7 +37,7 @@ def test_the_head_of_a_recording_tells_everything_about_the_run(tmp_path: Path) 
         description(("p.yaml", b"a: 1\n"), ("p.yaml", b"a: 2\n")), log_folder=tmp_path / "logs"
     )
     # Complete before anything has happened: a crash in the first moment keeps it.
-    found = list(records(session.folder.bag.with_name("session.mcap.active")))
+    found = list(records(session.folder / "session.mcap.active"))
     assert isinstance(found[0], Header)
     attachments = {record.name: record for record in found if isinstance(record, Attachment)}
     assert [*attachments] == [
@@ -66,7 +67,7 @@ def test_the_head_of_a_recording_tells_everything_about_the_run(tmp_path: Path) 
 
     session.recorder.publish(LogRecord(stamp_ns=1, level=20, name="n", message="m"))
     summary = session.recorder.close()
-    assert summary.path == session.folder.bag
+    assert summary.path == session.folder / "session.mcap"
     assert (tmp_path / "logs" / "latest" / "session.mcap").samefile(summary.path)
     assert [read.message.msg for read in messages(summary.path)] == ["m"]
 
@@ -85,20 +86,19 @@ def test_the_default_log_folder_follows_the_environment() -> None:
 def test_a_session_has_a_folder_and_latest_points_to_it(tmp_path: Path) -> None:
     root = tmp_path / "not" / "there"
     first = create_session_folder(root, "demo", NOW)
-    first.announce()
-    assert first.path == root / "2026-11-21-06-36-25-demo"
-    assert first.bag == first.path / "session.mcap"
-    assert (root / "latest").readlink() == Path(first.path.name)
+    announce(first)
+    assert first == root / "2026-11-21-06-36-25-demo"
+    assert (root / "latest").readlink() == Path(first.name)
 
     second = create_session_folder(root, "demo", NOW)
     third = create_session_folder(root, "demo", NOW)
-    second.announce()
-    third.announce()
-    assert [second.path.name, third.path.name] == [f"{first.path.name}-2", f"{first.path.name}-3"]
-    assert (root / "latest").resolve() == third.path
+    announce(second)
+    announce(third)
+    assert [second.name, third.name] == [f"{first.name}-2", f"{first.name}-3"]
+    assert (root / "latest").resolve() == third
     hidden = [entry for entry in root.iterdir() if entry.name.startswith(".")]
     assert hidden == [root / ".order"]
-    assert hidden[0].read_text().split() == [each.path.name for each in (first, second, third)]
+    assert hidden[0].read_text().split() == [each.name for each in (first, second, third)]
 
 
 @pytest.mark.parametrize(
@@ -114,14 +114,14 @@ def test_a_session_has_a_folder_and_latest_points_to_it(tmp_path: Path) -> None:
 def test_any_name_makes_a_folder_below_the_log_folder(
     tmp_path: Path, name: str, expected: str
 ) -> None:
-    folder = create_session_folder(tmp_path, name, NOW).path
+    folder = create_session_folder(tmp_path, name, NOW)
     assert folder.parent == tmp_path
     assert folder.name == f"2026-11-21-06-36-25-{expected}"
 
 
 def test_a_log_folder_that_is_a_file_is_explained(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(SessionFolderError, match="--log-dir") as caught:
+    with pytest.raises(RecordingError, match="--log-dir") as caught:
         create_session_folder(tmp_path / "file", "demo", NOW)
     assert str(tmp_path / "file") in str(caught.value)
 
@@ -129,11 +129,11 @@ def test_a_log_folder_that_is_a_file_is_explained(tmp_path: Path) -> None:
 def test_a_session_does_not_need_latest(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "latest" / "notes").mkdir(parents=True)
     folder = create_session_folder(tmp_path, "demo", NOW)
-    folder.announce()
-    assert folder.path.is_dir()
+    announce(folder)
+    assert folder.is_dir()
     assert "latest" in caplog.text
     assert sorted(entry.name for entry in tmp_path.iterdir()) == [
         ".order",
-        folder.path.name,
+        folder.name,
         "latest",
     ]

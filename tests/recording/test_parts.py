@@ -10,8 +10,9 @@ import pytest
 from mcap.records import Attachment, Metadata, Schema
 from rosbags.highlevel import AnyReader
 
+from play_launch.config.model import RotateConfig
 from play_launch.container.cdr.messages import log_message
-from play_launch.recording.bag import BagWriter, Rotation
+from play_launch.recording.bag import BagWriter
 from play_launch.recording.folder import part_path
 from play_launch.recording.forms import convert
 from play_launch.recording.mcap_file import MAGIC
@@ -31,7 +32,10 @@ def write_line(writer: BagWriter, channel: int, number: int) -> None:
 def three_parts(folder: Path, *, has_index: bool = False) -> BagWriter:
     """Lines 1 to 6 in three files, and two states in the first one."""
     writer = BagWriter(
-        folder / "session.mcap", rotation=Rotation(size=1), has_index=has_index, ros_distro="jazzy"
+        folder / "session.mcap",
+        rotation=RotateConfig(size=1),
+        has_index=has_index,
+        ros_distro="jazzy",
     )
     writer.attach("config.yaml", "application/yaml", b"a: 1\n", time=5)
     writer.metadata("play_launch.session", {"id": "1"})
@@ -79,7 +83,7 @@ def test_definitions_in_each_file_are_those_of_the_beginning(
     file.write_text("int32 left\n")
     writer = BagWriter(
         tmp_path / "x.mcap",
-        rotation=Rotation(size=1),
+        rotation=RotateConfig(size=1),
         definition=lambda type_name: message_definition(type_name, (tmp_path,)),
     )
     channel = writer.register(Topic("/one", "a_msgs/msg/Wheel"))
@@ -118,7 +122,7 @@ def test_the_folder_is_one_bag_to_others(tmp_path: Path) -> None:
 
 
 def test_a_file_ends_by_time_too(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(duration=1e-9))
+    writer = BagWriter(tmp_path / "x.mcap", rotation=RotateConfig(duration=1e-9))
     channel = writer.register(OUTPUT)
     write_line(writer, channel, 1)
     writer.flush()
@@ -128,7 +132,7 @@ def test_a_file_ends_by_time_too(tmp_path: Path) -> None:
 
 
 def test_nothing_new_begins_no_file(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "x.mcap", rotation=RotateConfig(size=1))
     channel = writer.register(STATES)
     event = ContainerStateChanged(stamp_ns=1, container="/c", state=ContainerState.RUNNING)
     ((_, data, key),) = convert(event)
@@ -142,7 +146,7 @@ def test_nothing_new_begins_no_file(tmp_path: Path) -> None:
 def test_a_disk_that_is_full_when_another_file_begins_leaves_no_half_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "x.mcap", rotation=RotateConfig(size=1))
     channel = writer.register(OUTPUT)
     write_line(writer, channel, 1)
     really = os.pwrite
@@ -162,7 +166,7 @@ def test_a_disk_that_is_full_when_another_file_begins_leaves_no_half_one(
 def test_a_file_without_room_for_its_summary_stays_active(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "x.mcap", rotation=RotateConfig(size=1))
     channel = writer.register(OUTPUT)
     write_line(writer, channel, 1)
     really = os.pwrite

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from play_launch.config.model import RotateConfig
 from play_launch.container.cdr.messages import log_message
 from play_launch.postmortem.bag_reader import BagReader
-from play_launch.recording.bag import BagWriter, Rotation
+from play_launch.recording.bag import BagWriter
 from play_launch.recording.topics import OUTPUT
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def test_everything_up_to_the_last_sync_is_there(
 
     monkeypatch.setattr(os, "fdatasync", sync)
     writer = BagWriter(
-        disk.root / "session.mcap", rotation=Rotation(size=size), sync=1e-3, has_index=True
+        disk.root / "session.mcap", rotation=RotateConfig(size=size), sync=1e-3, has_index=True
     )
     channel = writer.register(OUTPUT)
     for number in range(400):

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import array
 import asyncio
 import os
 import socket
@@ -96,7 +95,7 @@ class PacketError(ValueError):
     """An unknown packet: the program is of another version."""
 
 
-def decode(data: bytes | memoryview, descriptor: int = -1) -> Packet:
+def decode(data: bytes, descriptor: int = -1) -> Packet:
     """Read a packet; ``descriptor`` is of the file that came with it. Raises PacketError."""
     try:
         return _decode(memoryview(data), descriptor)
@@ -183,7 +182,6 @@ class RecorderLink:
         ours.setblocking(False)
         self._socket = ours
         self._on_packet = on_packet
-        self._buffer = bytearray(LARGEST_PACKET)
         self._lock = threading.Lock()
         self._unsent: deque[bytes] = deque()
         self._is_open = True
@@ -225,32 +223,21 @@ class RecorderLink:
         with self._lock:
             self._send()
         for _ in range(_AT_ONCE):
+            descriptors: list[int] = []
             try:
-                size, ancillary, _, _ = self._socket.recvmsg_into(
-                    [self._buffer], socket.CMSG_SPACE(array.array("i").itemsize)
-                )
+                data, descriptors, _, _ = socket.recv_fds(self._socket, LARGEST_PACKET, 1)
             except BlockingIOError:
                 return
             except OSError:
-                size, ancillary = 0, []
-            if size == 0:
+                data = b""
+            if not data:
                 self.close()
                 return
-            descriptor = _descriptor(ancillary)
             try:
-                packet = decode(memoryview(self._buffer)[:size], descriptor)
+                packet = decode(data, *descriptors)
             except PacketError:
-                if descriptor >= 0:
+                for descriptor in descriptors:
                     os.close(descriptor)
                 self.close()
                 raise
             self._on_packet(packet)
-
-
-def _descriptor(ancillary: list[tuple[int, int, bytes]]) -> int:
-    for level, kind, data in ancillary:
-        if level == socket.SOL_SOCKET and kind == socket.SCM_RIGHTS:
-            numbers = array.array("i")
-            numbers.frombytes(data)
-            return numbers[0]
-    return -1

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from play_launch.config.model import RotateConfig
 from play_launch.container.cdr.messages import log_message
-from play_launch.recording.bag import BagWriter, Rotation
+from play_launch.recording.bag import BagWriter
 from play_launch.recording.topics import OUTPUT
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ def begin_session(
     folder = log_folder / name_of(day)
     folder.mkdir(parents=True)
     writer = BagWriter(
-        folder / "session.mcap", rotation=Rotation(size=1 if parts > 1 else 1e9), has_index=True
+        folder / "session.mcap", rotation=RotateConfig(size=1 if parts > 1 else 1e9), has_index=True
     )
     writer.metadata("play_launch.session", {"id": str(day)})
     channel = writer.register(OUTPUT)

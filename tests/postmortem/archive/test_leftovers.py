@@ -15,7 +15,7 @@ from rosbags.highlevel import AnyReader
 from play_launch.postmortem.archive import complete_session
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording.bag import BagWriter
-from play_launch.recording.session import create_session_folder
+from play_launch.recording.session import announce, create_session_folder
 from tests.postmortem.archive.scenes import begin_session, cut_off_session, name_of, past_session
 from tests.recording.reading import messages
 from tests.support.mounts import mounted
@@ -182,19 +182,18 @@ def test_the_oldest_is_what_began_first_whatever_the_clock_said(tmp_path: Path) 
     ]
     made = [create_session_folder(tmp_path, "robot", time) for time in times]
     for each in made:
-        each.announce()
-    folders = [each.path for each in made]
-    for folder in folders:
+        announce(each)
+    for folder in made:
         BagWriter(folder / "session.mcap").close()
     done = archive(tmp_path, "--keep-sessions=2")
-    assert f"the latest of them {folders[2].name}" in done.stdout
+    assert f"the latest of them {made[2].name}" in done.stdout
     kept = sorted(name for name in names(tmp_path) if name not in {".order", "latest"})
-    assert kept == sorted(folder.name for folder in folders[3:])
+    assert kept == sorted(folder.name for folder in made[3:])
     # One from before there was an order is older than all that are in it.
     past_session(tmp_path, 25)
     archive(tmp_path, "--keep-sessions=2")
     assert name_of(25) not in names(tmp_path)
-    assert all(folder.exists() for folder in folders[3:])
+    assert all(folder.exists() for folder in made[3:])
 
 
 COMPLETE = """
