@@ -1,6 +1,7 @@
 """Write the recording of a long session that never ran.
 
-python -m benchmarks.long_session FILE [--nodes N] [--hours H] [--crashes N] [--lines N]
+python -m benchmarks.long_session FILE [--nodes N] [--hours H] [--period S] [--crashes N]
+    [--lines N]
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ def main() -> None:
     parser.add_argument("file", type=Path)
     parser.add_argument("--nodes", type=int, default=Plan.nodes)
     parser.add_argument("--hours", type=float, default=Plan.seconds / 3600)
+    parser.add_argument("--period", type=float, default=Plan.period, help="seconds")
     parser.add_argument("--crashes", type=int, default=Plan.crashes)
     parser.add_argument("--lines", type=int, default=Plan.lines)
     parser.add_argument("--seed", type=int, default=Plan.seed)
@@ -29,6 +31,7 @@ def main() -> None:
         seconds=arguments.hours * 3600,
         crashes=arguments.crashes,
         lines=arguments.lines,
+        period=arguments.period,
         seed=arguments.seed,
     )
     begin = time.monotonic()

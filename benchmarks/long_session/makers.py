@@ -17,14 +17,23 @@ from play_launch.supervisor.events import (
     ProcessEvent,
     ProcessEventKind,
 )
+from play_launch.supervisor.outcome import Cause
+
+_NOTHING: dict[str, Any] = {"cause": Cause.NONE}
+"""Of an event without a cause; one without the field is of the first version."""
 
 
 def container_state(
-    at: float, name: str, state: ContainerState, reason: str = ""
+    at: float, name: str, state: ContainerState, reason: str = "", **fields: Any
 ) -> ContainerStateChanged:
     mechanism = "shared_memory" if state is ContainerState.RUNNING else ""
     return ContainerStateChanged(
-        stamp_ns=stamp(at), container=name, state=state, reason=reason, mechanism=mechanism
+        stamp_ns=stamp(at),
+        container=name,
+        state=state,
+        reason=reason,
+        mechanism=mechanism,
+        **(_NOTHING | fields),
     )
 
 
@@ -33,7 +42,12 @@ def node_state(
 ) -> NodeStateChanged:
     reloads = fields.get("crashes", 0)
     return NodeStateChanged(
-        stamp_ns=stamp(at), key=key, state=state, reason=reason, reloads=reloads, **fields
+        stamp_ns=stamp(at),
+        key=key,
+        state=state,
+        reason=reason,
+        reloads=reloads,
+        **(_NOTHING | fields),
     )
 
 
@@ -53,7 +67,7 @@ def step(  # noqa: PLR0917 - in the order of the event
         pid=pid,
         restarts=restarts,
         message=message,
-        **fields,
+        **(_NOTHING | fields),
     )
 
 

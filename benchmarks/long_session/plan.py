@@ -31,6 +31,8 @@ class Plan:
     crashes: int = 150
     lines: int = 200_000
     seed: int = 1
+    period: float = 1.0
+    """Seconds between two samples."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What the processes of the made-up session and its machine used, once a second."""
+"""What the processes of the made-up session and its machine used, once in each period."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from benchmarks.long_session.plan import Life, Robot, Timed, stamp
 from play_launch.supervisor.events import MemoryKind, ProcessSample, SubjectKind, SystemSample
 
-PERIOD = 1.0
-"""Seconds."""
 CORES = 8
 TOTAL = 16 << 30
 """Bytes of memory."""
@@ -23,7 +21,7 @@ KINDS = {each.name.lower(): each for each in SubjectKind}
 
 
 def samples(robot: Robot) -> Iterator[Timed]:
-    """Give the samples in order: each second those of all that live, then the machine's."""
+    """Give the samples in order: each time those of all that live, then the machine's."""
     source = random.Random(robot.plan.seed + 2)
     steady = {life.key: source.gammavariate(1.5, 3.0) for life in robot.lives}
     size = {life.key: source.gammavariate(2.0, 30.0) * MEGABYTE for life in robot.lives}
@@ -31,7 +29,7 @@ def samples(robot: Robot) -> Iterator[Timed]:
     begins = sorted(robot.lives, key=lambda life: life.begin, reverse=True)
     living: list[Life] = []
     switches: dict[int, int] = {}
-    at = PERIOD
+    at = robot.plan.period
     while at < robot.plan.seconds:
         while begins and begins[-1].begin < at:
             living.append(begins.pop())
@@ -51,7 +49,7 @@ def samples(robot: Robot) -> Iterator[Timed]:
             switches[life.pid] = switches.get(life.pid, 0) + (40 if hungry else 2)
             yield at, _sample(life, at, cpu, round(bytes_now), switches[life.pid])
         yield at, _system(source, at, used, memory, hungry=hungry)
-        at += PERIOD
+        at += robot.plan.period
 
 
 def _sample(life: Life, at: float, cpu: float, memory: int, switches: int) -> ProcessSample:

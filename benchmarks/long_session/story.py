@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from operator import itemgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from benchmarks.long_session.makers import component, container_state, log, node_state, step
 from benchmarks.long_session.plan import AREAS, PROCESSES, Life, Plan, Robot, container_of, names
@@ -15,6 +15,7 @@ from play_launch.supervisor.events import (
     NodeState,
     ProcessEventKind,
 )
+from play_launch.supervisor.outcome import Cause, Sequel
 
 CRASHES = (
     (11, "SIGSEGV (invalid address 0x0)", "on_scan"),
@@ -102,17 +103,24 @@ class _ContainerStory:
 
     def _die(self, end: float, pid: int, restarts: int, keys: list[NodeKey]) -> None:
         at, name, why = self.robot.at, self.name, "exited with signal 11 (SIGSEGV)"
-        at(end, step(end, name, ProcessEventKind.EXITED, pid, restarts, why, signal=11))
-        sequel = f"{why}; it is started again in 1 s"
-        at(end, container_state(end, name, ContainerState.BACKOFF, sequel))
-        at(end, step(end, name, ProcessEventKind.RESTARTING, 0, restarts + 1, sequel))
+        cause = Cause.SIGNAL
+        exited = step(
+            end, name, ProcessEventKind.EXITED, pid, restarts, why, signal=11, cause=cause
+        )
+        at(end, exited)
+        text = f"{why}; starts again in 1.00 s"
+        sequel = _sequel(cause, Sequel.RESTART, 1.0)
+        at(end, container_state(end, name, ContainerState.BACKOFF, text, **sequel))
+        at(end, step(end, name, ProcessEventKind.RESTARTING, 0, restarts + 1, text, **sequel))
+        lost = {"cause": Cause.CONTAINER_EXITED}
         for key in keys:
-            at(end, node_state(end, key, NodeState.LOST, f"{name} died"))
+            at(end, node_state(end, key, NodeState.LOST, f"{name} died", **lost))
 
     def _stop(self, end: float, pid: int, restarts: int) -> None:
         at, name, why, gone = self.robot.at, self.name, "its duration is over", end + 0.2
-        at(end, container_state(end, name, ContainerState.STOPPING, why))
-        at(end, step(end, name, ProcessEventKind.STOPPING, pid, restarts, why))
+        stopped = {"cause": Cause.STOPPED}
+        at(end, container_state(end, name, ContainerState.STOPPING, why, **stopped))
+        at(end, step(end, name, ProcessEventKind.STOPPING, pid, restarts, why, **stopped))
         why = "exited with status 0"
         at(gone, step(gone, name, ProcessEventKind.EXITED, pid, restarts, why))
         at(gone, container_state(gone, name, ContainerState.STOPPED, why))
@@ -178,15 +186,15 @@ class _ContainerStory:
         robot.deaths.append((end, key.container, key.name))
         self.counts[key.name] += 1
         crashes = self.counts[key.name]
-        sequel = f"it is loaded again in {pause:.2f} s"
+        text, code = f"it is loaded again in {pause:.2f} s", Sequel.RELOAD
         if for_good:
-            sequel = "restart limit reached (3 in 60 s)"
-            robot.at(end, log(end, 40, f"{key.name} is not loaded again: {why}; {sequel}"))
+            text, code, pause = "restart limit reached (3 in 60 s)", Sequel.GAVE_UP, 0.0
+            robot.at(end, log(end, 40, f"{key.name} is not loaded again: {why}; {text}"))
+        cause = Cause.EXCEPTION if "terminate" in words else Cause.SIGNAL
+        outcome = _sequel(cause, code, pause)
         for state in (NodeState.CRASHED, *((NodeState.GAVE_UP,) if for_good else ())):
-            event = node_state(
-                end, key, state, f"{why}; {sequel}", pid=pid, attempt=attempt, crashes=crashes
-            )
-            robot.at(end, event)
+            numbers = {"pid": pid, "attempt": attempt, "crashes": crashes, "unique_id": attempt}
+            robot.at(end, node_state(end, key, state, f"{why}; {text}", **numbers, **outcome))
 
 
 def _process(robot: Robot, name: str, failures: list[float]) -> None:
@@ -197,14 +205,22 @@ def _process(robot: Robot, name: str, failures: list[float]) -> None:
         at(begin, step(begin, name, ProcessEventKind.STARTED, pid, number, command=command))
         robot.lives.append(Life("process", name, pid, begin, end))
         if end == stops:
-            at(end, step(end, name, ProcessEventKind.STOPPING, pid, number, "its duration is over"))
+            why, cause = "its duration is over", Cause.STOPPED
+            at(end, step(end, name, ProcessEventKind.STOPPING, pid, number, why, cause=cause))
             at(end, step(end, name, ProcessEventKind.EXITED, pid, number, "exited with status 0"))
             return
-        why = "exited with status 1"
-        at(end, step(end, name, ProcessEventKind.EXITED, pid, number, why, exit_code=1))
-        sequel = "it is started again in 2 s"
-        at(end, step(end, name, ProcessEventKind.RESTARTING, 0, number + 1, sequel))
+        why, cause = "exited with status 1", Cause.EXIT_STATUS
+        exited = step(
+            end, name, ProcessEventKind.EXITED, pid, number, why, exit_code=1, cause=cause
+        )
+        at(end, exited)
+        text, sequel = f"{why}; starts again in 2.00 s", _sequel(cause, Sequel.RESTART, 2.0)
+        at(end, step(end, name, ProcessEventKind.RESTARTING, 0, number + 1, text, **sequel))
         begin = end + 2.0
+
+
+def _sequel(cause: Cause, sequel: Sequel, delay: float) -> dict[str, Any]:
+    return {"cause": cause, "sequel": sequel, "delay_ns": round(delay * 1e9)}
 
 
 def _frames(robot: Robot, node: str, function: str) -> tuple[str, ...]:

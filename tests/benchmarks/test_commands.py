@@ -14,6 +14,8 @@ import pytest
 from benchmarks.browser import find_browser
 from benchmarks.intra_process import DDS, ISOLATED, STANDARD
 from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.timeline import read_timeline
+from play_launch.supervisor.outcome import Cause
 from tests.support.mounts import mounted
 
 ROOT = Path(__file__).parents[2]
@@ -87,10 +89,13 @@ def test_the_page_of_a_long_session(tmp_path: Path) -> None:
     bag = tmp_path / "session.mcap"
     run("long_session", bag, "--nodes", "12", "--hours", "0.02", "--lines", "100")
     session = PastSession(bag)
-    stamps = [happened.event.stamp_ns for happened in session.events()]
+    events = [recorded.event for recorded in session.events()]
+    stamps = [event.stamp_ns for event in events]
     assert stamps == sorted(stamps)
+    causes = {getattr(event, "cause", Cause.NONE) for event in events}
+    assert Cause.NOT_RECORDED not in causes
     assert (session.reader.is_complete, session.reader.damages) == (True, [])
-    assert session.view.total == 12
+    assert read_timeline(bag).size()["node"] == 12
 
 
 @pytest.mark.parametrize("option", ["--kinds", "--modes"])
