@@ -16,11 +16,12 @@ from play_launch.cli.info import report_damage
 from play_launch.cli.output import fail, is_passed_on, say, whole_file
 from play_launch.postmortem.export.tables import WRITERS, rows
 from play_launch.postmortem.export.trace import trace_events, write_trace
-from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.timeline import Timeline
 from play_launch.recording.folder import beside
 
 if TYPE_CHECKING:
     from play_launch.postmortem.export.tables import TableWriter
+    from play_launch.postmortem.session import PastSession
 
 TRACE: Final = "perfetto"
 Format = Literal["perfetto", "csv", "parquet"]
@@ -50,11 +51,14 @@ def export(
         fail("--format parquet needs pyarrow: pip install 'play-launch-py[parquet]', or use csv")
     if form != TRACE and output is not None and is_passed_on(output):
         fail(f"--output {output}: tables need a folder")
-    session = PastSession(file)
+    timeline = Timeline(file)
+    session = timeline.session
     target = output or beside(file, ".trace.json" if form == TRACE else f"-{form}")
     try:
         written = (
-            _write_trace(session, target) if form == TRACE else _write_tables(session, form, target)
+            _write_trace(timeline, target)
+            if form == TRACE
+            else _write_tables(session, form, target)
         )
     except OSError as error:  # the folder of the tables
         fail(f"{error.filename or target}: {error.strerror or error}", ExitCode.NODE_FAILED)
@@ -62,11 +66,12 @@ def export(
     return ExitCode.DAMAGED if report_damage(session.reader) else 0
 
 
-def _write_trace(session: PastSession, target: Path) -> str:
-    events = trace_events(session)
+def _write_trace(timeline: Timeline, target: Path) -> str:
+    events = trace_events(timeline)
     first = next(events, None)  # what is no recording leaves no file behind
     with whole_file(target) as half, half.open("w", encoding="utf-8") as file:
-        write_trace([] if first is None else chain([first], events), session.about, file)
+        about = timeline.session.about
+        write_trace([] if first is None else chain([first], events), about, file)
     return "open it in ui.perfetto.dev or chrome://tracing"
 
 

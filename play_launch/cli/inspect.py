@@ -27,13 +27,14 @@ from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.console_format import DEBUG, ERROR
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
+from play_launch.supervisor.view import SystemView
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from play_launch.postmortem.bag_reader import Message
-    from play_launch.postmortem.session import Happened
+    from play_launch.supervisor.events import RunEvent
 
 _AROUND: Final = 5.0
 """Seconds on either side of a moment."""
@@ -84,20 +85,27 @@ def inspect(  # noqa: PLR0917 - options, by name
     least = options.LEVELS[level]
     if around is not None and (since, until) != (None, None):
         fail("--around cannot be combined with --since and --until")
-    session, parameters = PastSession(file), Parameters()
+    session, parameters, view = PastSession(file), Parameters(), SystemView()
     window: tuple[float, float] | None = None
     try:
         for message in session.reader.messages(_TOPICS | PARAMETER_TOPICS):
             window = window or _window(session, since, until, around)
-            happened = _happened(message, session, parameters)
-            if (
-                happened is not None
-                and window[0] <= message.log_time <= window[1]
-                and _concerns(happened, node or ())
-            ):
+            event = _event(message, session, parameters)
+            if event is None:
+                continue
+            line: DisplayLine | None
+            before = view
+            if not isinstance(event, RecordedParameter):
+                view = before.after(event)
+            is_shown = window[0] <= message.log_time <= window[1]
+            if is_shown and _concerns(event, node or ()):
+                if isinstance(event, RecordedParameter):
+                    line, values = _of_parameters(event, message.log_time)
+                else:
+                    line, values = _line(event, before, view), event_object(event)
                 seconds = (message.log_time - session.started_ns) / 1e9
-                for line in _shown(happened, message.log_time, seconds, least, as_json=as_json):
-                    sys.stdout.write(f"{line}\n")
+                for text in _texts(line, values, seconds, least, as_json=as_json):
+                    sys.stdout.write(f"{text}\n")
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader has seen enough (`| head`); the rest of the file need not be read.
@@ -145,11 +153,11 @@ def _end(file: Path) -> int:
     return reader.end
 
 
-def _happened(
+def _event(
     message: Message, session: PastSession, parameters: Parameters
-) -> Happened | RecordedParameter | None:
+) -> RunEvent | RecordedParameter | None:
     if message.topic.name not in PARAMETER_TOPICS:
-        return session.take(message)
+        return session.event(message)
     try:
         return parameters.take(message) or None
     except UnreadableEventError as error:
@@ -157,34 +165,22 @@ def _happened(
         return None
 
 
-def _concerns(happened: Happened | RecordedParameter, patterns: Sequence[str]) -> bool:
+def _concerns(event: RunEvent | RecordedParameter, patterns: Sequence[str]) -> bool:
     if not patterns:
         return True
-    names = [happened.node] if isinstance(happened, RecordedParameter) else names_of(happened.event)
+    names = [event.node] if isinstance(event, RecordedParameter) else names_of(event)
     return any(fnmatchcase(name, pattern) for name in names for pattern in patterns)
 
 
-def _shown(
-    happened: Happened | RecordedParameter,
-    log_time: int,
-    since: float,
-    level: int,
-    *,
-    as_json: bool,
+def _texts(
+    line: DisplayLine | None, values: dict[str, object], since: float, level: int, *, as_json: bool
 ) -> Iterator[str]:
-    line: DisplayLine | None
-    if isinstance(happened, RecordedParameter):
-        line, values = _of_parameters(happened, log_time)
-    else:
-        line, values = _line(happened), event_object(happened.event)
     if as_json:
         if line is None or line.level >= level:
             yield encode(values)
-        return
-    if line is None or line.level < level:
-        return
-    for text in line.text.split("\n"):
-        yield f"{since:10.3f} [{line.source}] {printable(text)}"
+    elif line is not None and line.level >= level:
+        for text in line.text.split("\n"):
+            yield f"{since:10.3f} [{line.source}] {printable(text)}"
 
 
 def _of_parameters(said: RecordedParameter, log_time: int) -> tuple[DisplayLine, dict[str, object]]:
@@ -199,12 +195,11 @@ def _of_parameters(said: RecordedParameter, log_time: int) -> tuple[DisplayLine,
     return DisplayLine(log_time, said.node, f"parameters:\n{answer}", DEBUG), values
 
 
-def _line(happened: Happened) -> DisplayLine | None:
-    event = happened.event
+def _line(event: RunEvent, before: SystemView, after: SystemView) -> DisplayLine | None:
     if isinstance(event, ComponentEvent):
         # The state that follows from it says the rest.
         if event.kind is not ComponentEventKind.CRASHED or not event.backtrace:
             return None
         frames = "\n".join(f"  {frame}" for frame in event.backtrace)
         return DisplayLine(event.stamp_ns, event.full_node_name, f"backtrace:\n{frames}", ERROR)
-    return line_of(event, happened.before, happened.after)
+    return line_of(event, before, after)

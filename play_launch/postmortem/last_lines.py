@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from play_launch.postmortem.bag_reader import Message
 
 MOST: Final = 20
+_QOS: Final = b"incompatible QoS"
+"""In the warnings of rclcpp and rclpy about publishers and subscriptions that do not match."""
+_MOST_QOS: Final = 1000
 MOST_LOGGERS: Final = 500
 """Of a process, whose lines are kept: names of loggers may have numbers that count up."""
 _NAME: Final = Struct("<I")
@@ -35,6 +38,7 @@ class LastLines:
     def __init__(self) -> None:
         """Begin without lines."""
         self._rings: dict[bytes, dict[bytes, deque[Message]]] = {}
+        self._qos: list[Message] = []
 
     def take(self, message: Message) -> None:
         """Keep a message of the output topic; one that is damaged is left out."""
@@ -55,6 +59,12 @@ class LastLines:
                 _forget_quiet(rings)
             ring = rings[logger] = deque(maxlen=MOST)
         ring.append(message)
+        if _QOS in data and len(self._qos) < _MOST_QOS:
+            self._qos.append(message)
+
+    def qos_reports(self) -> Iterator[tuple[int, str]]:
+        """Give the warnings about incompatible QoS, each with its log time."""
+        return ((message.log_time, _text(message.data)) for message in self._qos)
 
     def of(self, container: str, name: str, until_ns: int) -> tuple[str, ...]:
         """Give the latest lines of a unit; ``container`` is empty for what is no node."""

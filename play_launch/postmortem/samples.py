@@ -105,8 +105,10 @@ LEAKS: Final = {
     Quantity.DESCRIPTORS: Growth(4.0, 200),
 }
 """Without one."""
-MOST_SAMPLES: Final = 8000
-"""Of one thing, that are kept: more than two hours at one a second."""
+MOST_SAMPLES: Final = 4000
+"""Of one thing, that are kept: more than an hour at one a second."""
+_RECENT: Final = MOST_SAMPLES // 4
+"""The latest ones, which are all kept; those before are thinned to as many, evenly in time."""
 _LEAK_SAMPLES: Final = 30
 _LITTLE_MEMORY: Final = 0.05
 """Of all memory."""
@@ -116,8 +118,8 @@ _BUSY_PRESSURE: Final = 40.0
 _BUSY: Final = 95.0
 """Percent of all cores, where the kernel does not know the former."""
 _BUSY_SAMPLES: Final = 3
-_MOST_BUSY: Final = 1000
-"""Times; of more, the first ones say the same."""
+_MOST_STARVATIONS: Final = 1000
+"""Of more, the first ones say the same."""
 _HOG: Final = 40.0
 """Percent of one core: two that want the same one get half of it each."""
 _PREEMPTED: Final = 10.0
@@ -149,31 +151,28 @@ class _Sample(NamedTuple):
 class _Series:
     """The samples of one thing, in the order of time."""
 
-    __slots__ = ("_data", "peak", "times")
+    __slots__ = ("_counted", "_data", "_latest", "_peak", "_used", "times")
 
     def __init__(self) -> None:
         self.times = array("q")
         self._data = bytearray()
-        self.peak = 0.0
-        """Bytes of memory, of those that are not here any more."""
+        self._counted = 0
+        """How many of the first samples are in the peak and the CPU time already."""
+        self._peak = self._used = 0.0
+        self._latest = (0, 0.0)
+        """Process and CPU time of the latest one that is counted."""
 
     def __len__(self) -> int:
         return len(self.times)
 
     def take(self, message: Message) -> None:
-        """Keep a sample; of a session of days, fewer of each hour."""
+        """Keep a sample; of a long session, fewer of each hour."""
         if len(message.data) < _FIXED.size:
             return
         self.times.append(message.log_time)
         self._data += message.data[: _FIXED.size]
         if len(self) > MOST_SAMPLES:
-            self.peak = self.peak_memory()
-            kept = [*range(0, len(self) - 1, 2), len(self) - 1]
-            self.times = array("q", [self.times[index] for index in kept])
-            size = _FIXED.size
-            self._data = bytearray(b"").join(
-                self._data[index * size : (index + 1) * size] for index in kept
-            )
+            self._thin()
 
     def at(self, index: int) -> _Sample:
         _, _, pid, _, percent, seconds, memory, kind, threads, descriptors, _, _, _, lost = (
@@ -183,7 +182,39 @@ class _Series:
 
     def peak_memory(self) -> float:
         """Give the most bytes that it had."""
-        return max(self.peak, *(self.at(index).memory for index in range(len(self))))
+        self._count()
+        return self._peak
+
+    def mean_cpu(self) -> float:
+        """Give the percentage of a core that it used; negative where nothing can be said."""
+        self._count()
+        seconds = (self.times[-1] - self.times[0]) / _SECOND
+        return 100 * self._used / seconds if seconds > 0 else -1.0
+
+    def _count(self) -> None:
+        for index in range(self._counted, len(self)):
+            sample, (pid, before) = self.at(index), self._latest
+            # What a process used before its first sample is not of this time.
+            self._used += sample.cpu_seconds - before if sample.pid == pid else 0.0
+            self._latest = sample.pid, sample.cpu_seconds
+            self._peak = max(self._peak, sample.memory)
+        self._counted = len(self)
+
+    def _thin(self) -> None:
+        self._count()
+        recent, gap = len(self) - _RECENT, (self.times[-1] - self.times[0]) // _RECENT
+        kept, next_at = [], self.times[0]
+        for index in range(recent):
+            if self.times[index] >= next_at:
+                kept.append(index)
+                next_at = self.times[index] + gap
+        kept += range(recent, len(self))
+        size = _FIXED.size
+        self.times = array("q", [self.times[index] for index in kept])
+        self._data = bytearray().join(
+            self._data[index * size : (index + 1) * size] for index in kept
+        )
+        self._counted = len(self)
 
     def life(self, pid: int, until_ns: int) -> tuple[int, int] | None:
         """Give the first and the last index of a process up to a moment."""
@@ -213,25 +244,28 @@ class Samples:
         self._series: dict[str, _Series] = {}
         self._names: dict[str, str] = {}
         self._system: list[tuple[int, bytes]] = []
-        self._busy = _Busy()
+        """The first sample of the machine, and the latest."""
+        self._busy = _BusyTime()
+        self._starvations: list[Starvation] = []
 
     def of(self, key: str) -> Callable[[Message], None]:
         """Give what keeps the samples of a process."""
         return self._series.setdefault(key, _Series()).take
 
     def take_system(self, message: Message) -> None:
-        """Keep one of the machine; of a session of days, fewer of each hour."""
-        self._busy.take(message.log_time, _system(message.data))
-        self._system.append((message.log_time, message.data))
-        if len(self._system) > MOST_SAMPLES:
-            del self._system[1:-1:2]
+        """Take one of the machine."""
+        if not self._busy.take(message.log_time, _system(message.data)):
+            # Now, as the samples of this time may be thinned later.
+            self._starvations += self._starvation()
+            self._busy = _BusyTime()
+        self._system[1:] = [(message.log_time, message.data)]
 
     def before(self, key: str, who: str, pid: int, until_ns: int) -> tuple[Trend, ...]:
-        """Give what grew in a process up to a moment, and what the machine ran out of."""
+        """Give what grew in a process up to a moment, and what the machine ran out of by now."""
         series = self._series.get(key)
         life = series.life(pid, until_ns) if series else None
         grown = tuple(_grown(series, *life, who, GROWN)) if series and life else ()
-        return (*grown, *self._shortage(until_ns))
+        return (*grown, *self._shortage())
 
     def peak_memory(self) -> dict[str, float]:
         """Give the most bytes that each had, by key; without nodes that share their container's."""
@@ -248,7 +282,7 @@ class Samples:
     def mean_cpu(self) -> dict[str, float]:
         """Give the percentage of a core that each used, by key: CPU time by time."""
         return {
-            key: mean for key, series in self._with_samples() if (mean := _mean_cpu(series)) >= 0
+            key: mean for key, series in self._with_samples() if (mean := series.mean_cpu()) >= 0
         }
 
     def _with_samples(self) -> Iterator[tuple[str, _Series]]:
@@ -261,56 +295,62 @@ class Samples:
             if life is None or life[1] - life[0] < _LEAK_SAMPLES:
                 continue
             begin, last = life
+            first, lasted = series.times[begin], series.times[last] - series.times[begin]
             # What a node takes while it starts is no leak.
-            begin += (last - begin) // 10
-            middle = (begin + last) // 2
+            begin = bisect_left(series.times, first + lasted // 10)
+            middle = bisect_left(series.times, first + lasted * 11 // 20)
             rising = {each.quantity for each in _grown(series, middle, last, "", _RISE)}
             for trend in _grown(series, begin, last, name_of(key), LEAKS):
                 if trend.quantity in rising:
                     yield key, trend
 
-    def starvations(self) -> Iterator[Starvation]:
+    def starvations(self) -> list[Starvation]:
         """Give the units that used a core while others waited, for each busy time."""
-        for begin_ns, end_ns, pressure in self._busy.times():
-            rates = sorted(self._rates(begin_ns, end_ns), key=lambda rate: -rate.cpu)
-            if not rates or rates[0].cpu < _HOG:
-                continue
-            hog, others = rates[0], rates[1:]
-            hit = [one for one in others if one.lost >= _PREEMPTED]
-            hit = sorted(hit, key=lambda one: -one.lost)[:_MOST_HIT]
-            if hit:
-                trends = [
-                    Trend(name_of(hog.key), Quantity.PROCESSOR, 0.0, hog.cpu, begin_ns, end_ns)
-                ]
-                trends += [
-                    Trend(name_of(one.key), Quantity.WAITING, 0.0, one.lost, begin_ns, end_ns)
-                    for one in hit
-                ]
-                trends.append(Trend("", Quantity.PRESSURE, 0.0, pressure, begin_ns, end_ns))
-                names = tuple(name_of(one.key) for one in hit)
-                yield Starvation(hog.key, names, tuple(trends), begin_ns)
+        return [*self._starvations, *self._starvation()][:_MOST_STARVATIONS]
+
+    def _starvation(self) -> Iterator[Starvation]:
+        """Judge the busy time that is over."""
+        begin_ns, end_ns = self._busy.begin_ns, self._busy.end_ns
+        if self._busy.samples < _BUSY_SAMPLES or len(self._starvations) >= _MOST_STARVATIONS:
+            return
+        rates = sorted(self._rates(begin_ns, end_ns), key=lambda rate: -rate.cpu)
+        if not rates or rates[0].cpu < _HOG:
+            return
+        hog, others = rates[0], rates[1:]
+        hit = [one for one in others if one.lost >= _PREEMPTED]
+        hit = sorted(hit, key=lambda one: -one.lost)[:_MOST_HIT]
+        if hit:
+            trends = [
+                Trend(name_of(key), quantity, 0.0, value, begin_ns, end_ns)
+                for key, quantity, value in (
+                    (hog.key, Quantity.PROCESSOR, hog.cpu),
+                    *((one.key, Quantity.WAITING, one.lost) for one in hit),
+                    ("", Quantity.PRESSURE, self._busy.pressure),
+                )
+            ]
+            yield Starvation(
+                hog.key, tuple(name_of(one.key) for one in hit), tuple(trends), begin_ns
+            )
 
     def disk_free_at_the_end(self) -> Trend | None:
         """Give how the free space on the disk of the recording went; None if not measured."""
-        ends = [_system(data) for _, data in (self._system[:1] + self._system[-1:])]
-        if not ends or ends[0] is None or ends[-1] is None:
-            return None
-        before, after = float(ends[0]["disk_free"]), float(ends[-1]["disk_free"])
-        return Trend("", Quantity.FREE_DISK, before, after, self._system[0][0], self._system[-1][0])
+        return self._of_machine("disk_free", Quantity.FREE_DISK)
 
-    def _shortage(self, until_ns: int) -> Iterator[Trend]:
-        last = bisect_right(self._system, until_ns, key=lambda one: one[0]) - 1
-        now = _system(self._system[last][1]) if last >= 0 else None
-        first = _system(self._system[0][1]) if last >= 0 else None
-        if not now or not first:
-            return
-        times = (self._system[0][0], self._system[last][0])
-        if now["memory_available"] < now["memory_total"] * _LITTLE_MEMORY:
-            values = float(first["memory_available"]), float(now["memory_available"])
-            yield Trend("", Quantity.FREE_MEMORY, *values, *times)
-        if now["disk_free"] < LITTLE_DISK:
-            values = float(first["disk_free"]), float(now["disk_free"])
-            yield Trend("", Quantity.FREE_DISK, *values, *times)
+    def _shortage(self) -> Iterator[Trend]:
+        memory = self._of_machine("memory_available", Quantity.FREE_MEMORY)
+        total = self._of_machine("memory_total", Quantity.FREE_MEMORY)
+        if memory and total and memory.after < total.after * _LITTLE_MEMORY:
+            yield memory
+        disk = self.disk_free_at_the_end()
+        if disk and disk.after < LITTLE_DISK:
+            yield disk
+
+    def _of_machine(self, field: str, quantity: Quantity) -> Trend | None:
+        samples = [_system(data) for _, data in self._system]
+        if not samples or samples[0] is None or samples[-1] is None:
+            return None
+        before, after = float(samples[0][field]), float(samples[-1][field])
+        return Trend("", quantity, before, after, self._system[0][0], self._system[-1][0])
 
     def _rates(self, begin_ns: int, end_ns: int) -> Iterator[_Rate]:
         for key, series in self._series.items():
@@ -326,29 +366,24 @@ class Samples:
             yield _Rate(key, cpu, (new.involuntary - old.involuntary) / seconds)
 
 
-class _Busy:
-    """The times in which the machine was busy, and the highest pressure in each."""
+class _BusyTime(Struct):
+    """A time in which the machine is busy."""
 
-    def __init__(self) -> None:
-        self._times: list[tuple[int, int, float]] = []
-        self._begin = self._end = self._count = 0
-        self._most = 0.0
+    begin_ns: int = 0
+    end_ns: int = 0
+    samples: int = 0
+    pressure: float = 0.0
+    """The highest."""
 
-    def take(self, log_time: int, sample: dict[str, Any] | None) -> None:
-        pressure = sample["cpu_some_avg10"] if sample else 0.0
-        if sample and _is_busy(pressure, sample["cpu_percent"]):
-            self._begin = self._begin or log_time
-            self._end, self._count = log_time, self._count + 1
-            self._most = max(self._most, 0.0 if math.isnan(pressure) else pressure)
-            return
-        self._times = self.times()
-        self._begin = self._end = self._count = 0
-        self._most = 0.0
-
-    def times(self) -> list[tuple[int, int, float]]:
-        if self._count >= _BUSY_SAMPLES and len(self._times) < _MOST_BUSY:
-            return [*self._times, (self._begin, self._end, self._most)]
-        return self._times
+    def take(self, log_time: int, sample: dict[str, Any] | None) -> bool:
+        """Take a sample of the machine; return whether it belongs to this time."""
+        if sample is None or not _is_busy(sample["cpu_some_avg10"], sample["cpu_percent"]):
+            return False
+        self.begin_ns, self.end_ns = self.begin_ns or log_time, log_time
+        self.samples += 1
+        if not math.isnan(sample["cpu_some_avg10"]):
+            self.pressure = max(self.pressure, sample["cpu_some_avg10"])
+        return True
 
 
 def _is_busy(pressure: float, percent: float) -> bool:
@@ -380,21 +415,6 @@ def _grown(
         before, after = _value(old, quantity), _value(new, quantity)
         if after >= before * growth.factor and after - before >= growth.least:
             yield Trend(who, quantity, before, after, *times)
-
-
-def _mean_cpu(series: _Series) -> float:
-    """Percent of a core; negative where nothing can be said."""
-    seconds = (series.times[-1] - series.times[0]) / _SECOND
-    if seconds <= 0:
-        return -1.0
-    used = before = 0.0
-    pid = 0
-    for index in range(len(series)):
-        sample = series.at(index)
-        # What it used before the first sample of all is not of this time.
-        used += sample.cpu_seconds - before if sample.pid == pid else 0.0
-        pid, before = sample.pid, sample.cpu_seconds
-    return 100 * used / seconds
 
 
 def _value(sample: _Sample, quantity: Quantity) -> float:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from play_launch.postmortem.bag_reader import BagReader, Damage
 from play_launch.postmortem.events import UnreadableEventError, event_of
 from play_launch.recording.session import METADATA_NAME
-from play_launch.supervisor.view import SystemView
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator
@@ -17,23 +16,19 @@ if TYPE_CHECKING:
     from play_launch.supervisor.events import RunEvent
 
 
-class Happened(NamedTuple):
-    """One event, when it was received, and the system before and after it."""
+class RecordedEvent(NamedTuple):
+    """One event, and when it was received."""
 
     log_time: int
     event: RunEvent
-    before: SystemView
-    after: SystemView
 
 
 class PastSession:
-    """One pass over a recording, after which `reader` and `view` are whole."""
+    """One pass over a recording, after which `reader` is whole."""
 
     def __init__(self, path: Path) -> None:
         """Read nothing yet."""
         self.reader = BagReader(path)
-        self.view = SystemView()
-        """The system after the events that were given so far."""
 
     @property
     def about(self) -> dict[str, str]:
@@ -47,28 +42,24 @@ class PastSession:
         is_number = stamp.isascii() and stamp.isdecimal() and len(stamp) < 20
         return (int(stamp) if is_number else 0) or self.reader.begin
 
-    def events(self, topics: Container[str] | None = None) -> Iterator[Happened]:
+    def events(self, topics: Container[str] | None = None) -> Iterator[RecordedEvent]:
         """Give the events of these topics (None: all) in the order in which they were received.
 
         Raises:
             NotARecordingError: At once, for another kind of file.
         """
         for message in self.reader.messages(topics):
-            happened = self.take(message)
-            if happened is not None:
-                yield happened
+            event = self.event(message)
+            if event is not None:
+                yield RecordedEvent(message.log_time, event)
 
-    def take(self, message: Message) -> Happened | None:
-        """Give the event of a message, for callers that read others as well; None without one."""
+    def event(self, message: Message) -> RunEvent | None:
+        """Read the event of a message; None without one, or where it cannot be read."""
         try:
-            event = event_of(message)
+            return event_of(message)
         except UnreadableEventError as error:
             self.note_damage(message, error)
             return None
-        if event is None:
-            return None
-        before, self.view = self.view, self.view.after(event)
-        return Happened(message.log_time, event, before, self.view)
 
     def note_damage(self, message: Message, error: Exception) -> None:
         """Remember a message that cannot be read; each counts once."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from play_launch.postmortem.events import UnreadableEventError, event_of
+from play_launch.postmortem.events import UnreadableEventError
 from play_launch.postmortem.last_lines import LastLines
 from play_launch.postmortem.parameters import TOPICS as PARAMETER_TOPICS
 from play_launch.postmortem.parameters import Parameters
@@ -85,7 +85,6 @@ class Timeline:
         self._lines = LastLines()
         self._version1 = Version1()
         self._by_key: dict[tuple[bool, str], Unit] = {}
-        self._by_pid: dict[int, str] = {}
         self._known: dict[Reason, Failure] = {}
         self._reports: dict[str | tuple[int, int], ComponentEvent] = {}
         """Of nodes whose state has not followed yet, by name and by what every one has."""
@@ -144,20 +143,21 @@ class Timeline:
             return self._lines.take
         if topic.name == topics.SYSTEM.name:
             return self.samples.take_system
-        return self._take_event if topic.name in _STATES | PARAMETER_TOPICS else _ignore
+        if topic.name in PARAMETER_TOPICS:
+            return self._take_parameters
+        return self._take_event if topic.name in _STATES else _ignore
 
     def _take_event(self, message: Message) -> RunEvent | None:
-        try:
-            if message.topic.name in PARAMETER_TOPICS:
-                self.parameters.take(message)
-                return None
-            event = event_of(message)
-        except UnreadableEventError as error:
-            self.session.note_damage(message, error)
-            return None
+        event = self.session.event(message)
         if event is not None:
             self.fold(event, message.log_time)
         return event
+
+    def _take_parameters(self, message: Message) -> None:
+        try:
+            self.parameters.take(message)
+        except UnreadableEventError as error:
+            self.session.note_damage(message, error)
 
     def fold(self, event: RunEvent, at_ns: int) -> None:
         """Take one event, received at that log time."""
@@ -213,8 +213,7 @@ class Timeline:
         container = self.unit(SubjectKind.CONTAINER, event.container)
         is_new_crash = unit.state is not None and event.crashes > unit.crashes
         is_repeated = unit.state is event.state and not is_new_crash
-        if event.pid:
-            self._by_pid[event.pid] = event.node
+        unit.pid = event.pid or unit.pid
         if event.state is NodeState.LOADING and unit.failure is not None:
             unit.failure.back_at = unit.failure.back_at or at_ns
         if event.state is NodeState.LOADING and is_repeated and event.reason:
@@ -355,9 +354,10 @@ class Timeline:
 
     def _named(self, text: str) -> str:
         """Name the nodes of the processes that a text has the pids of."""
+        by_pid = {unit.pid: unit.name for unit in self.units if unit.container}
 
         def name(found: re.Match[str]) -> str:
-            node = self._by_pid.get(int(found[1]))
+            node = by_pid.get(int(found[1]))
             return f"{found[0]} ({node})" if node else found[0]
 
         return _PROCESS.sub(name, text)
@@ -374,6 +374,9 @@ class Timeline:
         if known is None:
             known = self._known[same] = failure
             self.failures.append(failure)
+            failure.before = self.samples.before(
+                failure.key, failure.who, failure.pid, failure.log_time
+            )
             if parameters := self.parameters.nodes.get(failure.who):
                 failure.parameters = parameters.of_life(failure.since_ns) or None
             until = failure.log_time + _LATE_LINES
@@ -406,6 +409,10 @@ class Timeline:
     def last_lines(self, unit: Unit) -> tuple[str, ...]:
         """Give the last lines of a unit up to its latest change of state."""
         return self._lines.of(unit.container, unit.name, unit.since_ns + _LATE_LINES)
+
+    def qos_reports(self) -> Iterator[tuple[int, str]]:
+        """Give the warnings of client libraries about incompatible QoS, with their log times."""
+        return self._lines.qos_reports()
 
     def _read_lines(self, failure: Failure) -> None:
         until = failure.log_time + _LATE_LINES

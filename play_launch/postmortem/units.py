@@ -11,6 +11,7 @@ from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import GROUP_STATS
 from play_launch.postmortem.frames import Frame, Signature, ending, frame_of, signature_of
 from play_launch.postmortem.parameters import ParametersOfALife  # noqa: TC001 - a field of a Struct
+from play_launch.postmortem.samples import Trend  # noqa: TC001 - as above
 from play_launch.postmortem.source_lines import Module, module_of
 from play_launch.supervisor.events import (
     ComponentEventKind,
@@ -33,8 +34,8 @@ NO_UNIT: Final = 0xFFFF
 """Number of what is no unit, and of the units beyond so many: a page has 16 bits for one."""
 
 _GROUP: Final = GROUP_STATS.picker("group", "throttled_seconds", "oom_kills", "pids_max_hits")
-_MOST_DOWNTIMES: Final = 10_000
-"""Of one failure, that are kept."""
+_MOST_TIMES: Final = 10_000
+"""Moments and downtimes that are kept, of one failure."""
 
 
 class Fault(StrEnum):
@@ -98,6 +99,8 @@ class Failure(Struct, kw_only=True):
     hit: dict[str, None] = field(default_factory=dict)
     """Names of other units that were down because of it."""
     last_lines: tuple[str, ...] = ()
+    before: tuple[Trend, ...] = ()
+    """What grew or ran out before."""
     parameters: ParametersOfALife | None = None
 
     @classmethod
@@ -165,7 +168,7 @@ class Failure(Struct, kw_only=True):
             self.sequels[sequel, delay_ns] = reason
 
     def add_downtime(self, downtime: Downtime) -> None:
-        if len(self.away) < _MOST_DOWNTIMES:
+        if len(self.away) < _MOST_TIMES:
             self.away.append(downtime)
 
 
@@ -231,6 +234,23 @@ class FailureEvent(Struct, frozen=True):
     reason: str
     frames: tuple[str, ...] = ()
 
+    @property
+    def what(self) -> str:
+        """What happened, for a mark in a timeline; empty for what gets none."""
+        if self.failure is None:
+            return "gave up"
+        if self.failure.is_crash and self.failure.fault is not Fault.DIED:
+            return "crashed"
+        return _MARKS.get(self.failure.fault, "")
+
+
+_MARKS: Final = {
+    Fault.CRASHED: "crashed",
+    Fault.DIED: "died",
+    Fault.LOAD_FAILED: "failed to load",
+    Fault.STOP_TIMEOUT: "did not stop",
+}
+
 
 class GroupUse(Struct):
     """What the control groups of one unit were kept from; each process has another group."""
@@ -261,10 +281,10 @@ class GroupUse(Struct):
             self.throttled_ns = self.throttled_ns or at
         if oom > same[2]:
             self.oom_kills += oom - same[2]
-            self.oom_times.append(at)
+            self.oom_times += [at][: _MOST_TIMES - len(self.oom_times)]
         if refused > same[3]:
             self.refused += refused - same[3]
-            self.refused_times.append(at)
+            self.refused_times += [at][: _MOST_TIMES - len(self.refused_times)]
 
 
 class GroupUsage:

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -44,6 +45,22 @@ kept = []
 while True:
     kept.append(bytearray(4 << 20))
     time.sleep(0.01)
+"""
+UNMATCHED = """version: 1
+duration: 60 s
+nodes:
+  - {{name: camera, command: {camera}}}
+  - {{name: detector, command: {detector}}}
+"""
+SPINNING = """
+import rclpy
+from rclpy.qos import ReliabilityPolicy, QoSProfile
+from std_msgs.msg import String
+rclpy.init()
+node = rclpy.create_node({name!r})
+qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.{policy})
+kept = node.{make}
+rclpy.spin(node)
 """
 
 
@@ -321,3 +338,32 @@ def test_crashes_are_grouped_and_sessions_compared(crashed: Path, tmp_path: Path
     better = run("compare", crashed, good)
     assert better.returncode == 0
     assert "gone crash" in better.stdout
+
+
+def test_publishers_and_subscriptions_that_do_not_match(tmp_path: Path) -> None:
+    publish, subscribe = (
+        "create_publisher(String, '/image', qos)",
+        "create_subscription(String, '/image', print, qos)",
+    )
+    camera = SPINNING.format(name="camera", policy="BEST_EFFORT", make=publish)
+    detector = SPINNING.format(name="detector", policy="RELIABLE", make=subscribe)
+    commands = {
+        name: json.dumps([sys.executable, "-c", text])
+        for name, text in (("camera", camera), ("detector", detector))
+    }
+    config = written(tmp_path, UNMATCHED.format(**commands))
+    with replaying(config, tmp_path / "logs") as replay:
+        warned = set()
+
+        def both_warned(event: dict[str, Any]) -> bool:
+            if "incompatible QoS" in event.get("text", ""):
+                warned.add(event["process"])
+            return len(warned) == 2
+
+        replay.read_until(both_warned, "the warnings of both")
+    check(
+        story(replay.bag),
+        "QoS on /image is incompatible, so messages are lost, from ",
+        "Cause: reliability: /detector requests more than is offered; "
+        "/camera offers less than is requested",
+    )

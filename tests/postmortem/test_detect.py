@@ -105,3 +105,23 @@ def test_a_process_that_cannot_be_started(tmp_path: Path) -> None:
     assert finding.is_failure
     what = "/driver was not started: it was given up at 1.000 s after the start."
     assert text_of(finding) == (what, "Cause: cannot start driver: no file.")
+
+
+def test_publishers_and_subscriptions_that_do_not_match(tmp_path: Path) -> None:
+    scene = Scene()
+    for at, report in (
+        (1, "[robot.slam]: New publisher discovered on topic '/scan', offering incompatible QoS."),
+        (2, "[lidar]: New subscription discovered on topic '/scan', requesting incompatible QoS."),
+        (3, "[slam]: I know nothing of incompatible QoS"),
+    ):
+        policy = "Last incompatible policy: DURABILITY_QOS_POLICY"
+        scene.line(at, f"[WARN] [1.0] {report} {policy}", "/box")
+    (finding,) = scene.story(tmp_path).findings
+    what, cause = text_of(finding)
+    when = "from 1.000 s after the start on"
+    assert what == f"QoS on /scan is incompatible, so messages are lost, {when}."
+    assert cause.startswith(
+        "Cause: durability: /robot/slam requests more than is offered; "
+        "/lidar offers less than is requested; "
+    )
+    assert finding.hit == ("/robot/slam", "/lidar")

@@ -17,8 +17,7 @@ from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
 from play_launch.recording.session import METADATA_NAME
-from play_launch.supervisor.events import RunEvent
-from play_launch.supervisor.view import SystemView
+from play_launch.supervisor.events import ContainerStateChanged, RunEvent
 from tests.postmortem.test_session import OTHERS
 from tests.recording.test_parts import three_parts
 from tests.recording.test_states import EVENTS
@@ -44,19 +43,13 @@ def record_in_parts(folder: Path, events: list[RunEvent], ends: set[int]) -> Pat
 
 @settings(max_examples=50)
 @given(st.lists(EVENTS | OTHERS, max_size=20), st.sets(st.integers(0, 20), max_size=4))
-def test_events_and_view_are_the_same_however_many_files(
-    events: list[RunEvent], ends: set[int]
-) -> None:
+def test_events_are_the_same_however_many_files(events: list[RunEvent], ends: set[int]) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = record_in_parts(Path(name), events, ends)
         session = PastSession(folder)
         happened = list(session.events())
         assert [each.event for each in happened] == events
         assert [each.log_time for each in happened] == [1000 + n for n in range(len(events))]
-        view = SystemView()
-        for event in events:
-            view = view.after(event)
-        assert session.view == view
         assert session.started_ns == 500
         reader = session.reader
         assert (reader.damages, reader.is_complete) == ([], True)
@@ -69,9 +62,8 @@ def test_a_file_alone_says_how_everything_stood(tmp_path: Path) -> None:
     session = PastSession(tmp_path / "session_2.mcap")
     events = [happened.event for happened in session.events()]
     assert len(events) == 1 + 2
-    assert [(name, each.state.value) for name, each in session.view.containers.items()] == [
-        ("/c", "running")
-    ]
+    states = [each for each in events if isinstance(each, ContainerStateChanged)]
+    assert [(each.container, each.state.value) for each in states] == [("/c", "running")]
 
 
 def test_the_last_file_may_be_unfinished(tmp_path: Path) -> None:

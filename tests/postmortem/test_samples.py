@@ -31,24 +31,41 @@ def test_a_session_of_days_is_thinned_out() -> None:
     assert trend.after == 10**7 + (count - 1) * 10**5
 
 
+def test_a_leak_of_days_is_found_from_its_beginning() -> None:
+    samples = Samples()
+    count = 6 * MOST_SAMPLES
+    take = samples.of("/a")
+    for at in range(1, count):
+        take(sample(at, 10**8 + at * 10**5, 0.0))
+    ((key, trend),) = samples.leaks()
+    assert key == "/a"
+    assert abs(trend.begin_ns / SECOND / count - 0.1) < 0.01
+    assert trend.after > 5 * trend.before
+
+
 def machine(at: int, pressure: float) -> Message:
     values = {"cpu_some_avg10": pressure, "core_percent": [1.0] * 16, "disk_free": at}
     topic = RecordedTopic("/play_launch/system", "", "cdr")
     return Message(topic, at * SECOND, at * SECOND, SYSTEM_STATS.write(values), 1, 0, 0)
 
 
-def test_samples_of_the_machine_are_thinned_out_and_no_busy_time_is_missed() -> None:
+def used(at: int, cpu_seconds: float, switches: int) -> Message:
+    values = {"pid": 7, "cpu_seconds": cpu_seconds, "involuntary_switches": switches}
+    topic = RecordedTopic("/play_launch/node/a/stats", "", "cdr", "process", "/a")
+    return Message(topic, at * SECOND, at * SECOND, PROCESS_STATS.write(values), 1, 0, 0)
+
+
+def test_no_busy_time_of_a_session_of_days_is_missed() -> None:
     samples = Samples()
-    tracemalloc.start()
-    count = 3 * MOST_SAMPLES
-    try:
-        for at in range(1, count):
-            samples.take_system(machine(at, 99.0 if 9 <= at % MOST_SAMPLES <= 11 else 0.0))
-        size, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert size < MOST_SAMPLES * 600
-    assert [begin // SECOND % MOST_SAMPLES for begin, _, _ in samples._busy.times()] == [9] * 3
+    count, busy = 3 * MOST_SAMPLES, range(9, 13)
+    hog, victim = samples.of("/hog"), samples.of("/victim")
+    for at in range(1, count):
+        hog(used(at, at, 0))
+        victim(used(at, 0.0, at * 50))
+        samples.take_system(machine(at, 99.0 if at % MOST_SAMPLES in busy else 0.0))
+    found = samples.starvations()
+    assert [each.begin_ns // SECOND % MOST_SAMPLES for each in found] == [busy[0]] * 3
+    assert {(each.key, each.hit) for each in found} == {("/hog", ("/victim",))}
     trend = samples.disk_free_at_the_end()
     assert trend is not None
     assert (trend.before, trend.after) == (1, count - 1)

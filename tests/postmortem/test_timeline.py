@@ -69,7 +69,8 @@ def test_equal_crashes_are_one_finding_with_all_times(scene: Scene, tmp_path: Pa
         scene.node(at + 0.5, "/talker", LOADING)
         scene.node(at + 1, "/talker", LOADED)
     scene.crashed(6, "/talker", "demo::other()", sequel=STAYS)
-    first, second = scene.story(tmp_path).findings
+    first, second = found = scene.story(tmp_path).findings
+    assert kinds(found) == [(Fault.CRASHED, "/talker")] * 2
     assert first.times_ns == (ns(2), ns(4))
     assert first.away == (Downtime("/talker", SECOND), Downtime("/talker", SECOND))
     assert first.done == ("reloaded immediately",)
@@ -77,6 +78,21 @@ def test_equal_crashes_are_one_finding_with_all_times(scene: Scene, tmp_path: Pa
     assert first.known == "null_pointer"
     assert second.away == (Downtime("/talker", None),)
     assert str(second.signature) == "SIGSEGV in demo::other (libdemo.so)"
+
+
+def test_a_load_that_failed_and_a_crash_in_a_constructor(scene: Scene, tmp_path: Path) -> None:
+    scene.started()
+    scene.node(1, "/gone", NodeState.LOAD_FAILED, reason="libgone.so: no such library")
+    scene.crashed(2, "/victim", in_constructor=True)
+    gone, victim = scene.story(tmp_path).findings
+    assert kinds((gone, victim)) == [
+        (Fault.LOAD_FAILED, "/gone"),
+        (Fault.LOAD_FAILED, "/victim"),
+    ]
+    assert (gone.is_crash, gone.known) == (False, "missing_library")
+    assert victim.is_crash
+    what = "/victim in /box crashed in its constructor at 2.000 s after the start."
+    assert headline(victim, ns(0)) == what
 
 
 def test_who_was_hit_by_the_death_of_a_container(scene: Scene, tmp_path: Path) -> None:
@@ -279,7 +295,7 @@ def test_who_grows_without_failing(tmp_path: Path) -> None:
         scene.used(at, "/big", memory_bytes=10**7 if at < 2 else 10**9)
     (finding,) = scene.story(tmp_path).findings
     assert (finding.kind, finding.who) == ("grew", "/leaker")
-    text = "memory 190.0 MB -> 1.09 GB in 1 min 30 s, still rising at the end"
+    text = "memory 200.0 MB -> 1.09 GB in 1 min 29 s, still rising at the end"
     assert headline(finding, ns(0)) == f"/leaker may leak: {text}."
 
 

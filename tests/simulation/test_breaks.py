@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import inspect
-import textwrap
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import pytest
+
+from tests.support.breaks import rewrite
 
 from .search import tried
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
 MOST_SEEDS: Final = 600
 
@@ -44,18 +44,6 @@ def breaks() -> Iterator[Break]:
             found_by = line[2:]
         elif found_by and line:
             yield Break(found_by, *line.split(" ~ "))
-
-
-def rewrite(patch: pytest.MonkeyPatch, rule: Callable[..., Any], old: str, new: str) -> None:
-    """Replace ``old``, which has to be there once, for all callers of the rule."""
-    source = textwrap.dedent(inspect.getsource(rule))
-    count = source.count(old)
-    assert count == 1, f"{rule.__qualname__} has {count} times: {old}"
-    changed = f"from __future__ import annotations\n{source.replace(old, new)}"
-    found: dict[str, Any] = {}
-    exec(compile(changed, f"<{rule.__name__}, broken>", "exec"), rule.__globals__, found)
-    broken = found[rule.__name__]
-    patch.setattr(rule, "__code__", getattr(broken, "fget", broken).__code__)
 
 
 @pytest.mark.parametrize("broken", tuple(breaks()), ids=lambda each: each.name)

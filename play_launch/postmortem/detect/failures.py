@@ -77,7 +77,7 @@ def detect(timeline: Timeline) -> Iterator[Finding]:
             since_ns=each.since_ns,
             last_lines=each.last_lines,
             parameters=each.parameters,
-            before=timeline.samples.before(each.key, each.who, each.pid, each.log_time),
+            before=each.before,
             hit=tuple(each.hit),
             done=tuple(_done(each.sequels)),
             away=() if is_slow else tuple(each.away),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from msgspec import structs
 
@@ -37,16 +37,6 @@ class TableRow(NamedTuple):
 
     table: str
     values: Mapping[str, Value]
-
-
-class TableWriter(Protocol):
-    """Takes the rows of one table; the first one says which columns there are."""
-
-    def add(self, values: Mapping[str, Value]) -> None:
-        """Take a row. Raises OSError."""
-
-    def close(self) -> None:
-        """Complete the file. Raises OSError."""
 
 
 def rows(session: PastSession) -> Iterator[TableRow]:
@@ -121,7 +111,7 @@ class CsvWriter:
         self._writer: csv.DictWriter[str] | None = None
 
     def add(self, values: Mapping[str, Value]) -> None:
-        """Take a row. Raises OSError."""
+        """Take a row; the first one says which columns there are. Raises OSError."""
         if self._writer is None:
             self._writer = csv.DictWriter(
                 self._file, list(values), restval="", extrasaction="ignore"
@@ -182,6 +172,7 @@ class ParquetWriter:
                 return self._arrow.int32() if name == "pid" else self._arrow.uint64()
 
 
+TableWriter: TypeAlias = CsvWriter | ParquetWriter
 WRITERS: Final[dict[str, Callable[[Path], TableWriter]]] = {
     "csv": CsvWriter,
     "parquet": ParquetWriter,

@@ -17,8 +17,6 @@ from msgspec import Struct
 from play_launch.config.node_key import NodeKey
 from play_launch.recording.console_format import ERROR, WARN, line_level
 from play_launch.supervisor.events import (
-    ComponentEvent,
-    ComponentEventKind,
     ContainerState,
     ContainerStateChanged,
     GroupSample,
@@ -37,7 +35,9 @@ from play_launch.supervisor.events import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from play_launch.postmortem.session import Happened, PastSession
+    from play_launch.postmortem.bag_reader import Message
+    from play_launch.postmortem.timeline import Timeline
+    from play_launch.postmortem.units import FailureEvent
     from play_launch.supervisor.events import RunEvent
 
     TraceEvent = dict[str, Any]
@@ -55,10 +55,6 @@ _NOT_THERE: Final = frozenset(
     }
 )
 """States in which a track is empty."""
-_BAD: Final = frozenset(
-    {NodeState.CRASHED, NodeState.LOAD_FAILED, NodeState.GAVE_UP, ContainerState.GAVE_UP}
-)
-"""States whose beginning is marked."""
 
 
 class Track(Struct, frozen=True):
@@ -75,21 +71,28 @@ class _Slice(Struct):
 
 
 class TraceMaker:
-    """Makes the events of the trace from those of the session, in their order."""
+    """Makes the events of the trace while the timeline takes those of the session."""
 
-    def __init__(self, started_ns: int) -> None:
-        """Times count from `started_ns`, in nanoseconds since the epoch."""
-        self._started_ns = started_ns
+    def __init__(self, timeline: Timeline) -> None:
+        """Times count from the start of the session, which the timeline knows by now."""
+        self._timeline = timeline
+        self._started_ns = timeline.session.started_ns
+        self._marked = 0
         self._processes: dict[str, int] = {}
         self._tracks: dict[tuple[str, str], Track] = {}
         self._open: dict[Track, _Slice] = {}
         self._counters: dict[tuple[int, str], Mapping[str, float]] = {}
-        self._backtraces: dict[str, str] = {}
         self._made: list[TraceEvent] = []
 
-    def add(self, happened: Happened) -> list[TraceEvent]:
-        """Give the events of the trace that something that happened leads to."""
-        self._add(self._time(happened.log_time), happened.event)
+    def add(self, message: Message, event: RunEvent | None) -> list[TraceEvent]:
+        """Give the events of the trace that a message leads to; the timeline took it before."""
+        event = event or self._timeline.session.event(message)
+        if event is not None:
+            self._add(self._time(message.log_time), event)
+        failures = self._timeline.events[self._marked :]
+        self._marked += len(failures)
+        for failure in failures:
+            self._failed(failure)
         made, self._made = self._made, []
         return made
 
@@ -103,16 +106,16 @@ class TraceMaker:
     def _add(self, at: float, event: RunEvent) -> None:
         match event:
             case NodeStateChanged():
-                self._node(at, event)
+                args: TraceEvent = {"pid": event.pid, "attempt": event.attempt}
+                track = self._track(event.container, event.node)
+                self._state(track, at, event.state, {"reason": event.reason, **args})
             case ContainerStateChanged():
                 track = self._track(event.container, "container")
-                args: TraceEvent = {"reason": event.reason, "mechanism": event.mechanism}
+                args = {"reason": event.reason, "mechanism": event.mechanism}
                 self._state(track, at, event.state, args)
             case ProcessEvent():
-                self._process_event(at, event)
-            case ComponentEvent() if event.kind is ComponentEventKind.CRASHED:
-                # The state that follows is marked with it.
-                self._backtraces[event.full_node_name] = "\n".join(event.backtrace)
+                args = {"reason": event.message, "pid": event.pid}
+                self._state(self._track(event.name, "process"), at, event.kind, args)
             case ProcessSample():
                 self._process_sample(at, event)
             case GroupSample():
@@ -128,20 +131,16 @@ class TraceMaker:
             case _:
                 pass
 
-    def _node(self, at: float, event: NodeStateChanged) -> None:
-        track = self._track(event.container, event.node)
-        args: TraceEvent = {"reason": event.reason, "pid": event.pid, "attempt": event.attempt}
-        if event.state is NodeState.CRASHED:
-            args["backtrace"] = self._backtraces.pop(event.node, "")
-        self._state(track, at, event.state, args)
-
-    def _process_event(self, at: float, event: ProcessEvent) -> None:
-        track = self._track(event.name, "process")
-        args: TraceEvent = {"reason": event.message, "pid": event.pid}
-        self._state(track, at, event.kind, args)
-        if event.kind is ProcessEventKind.EXITED and (event.signal or event.exit_code):
-            how = f"signal {event.signal}" if event.signal else f"status {event.exit_code}"
-            self._mark(track, at, f"ended by {how}", args)
+    def _failed(self, failure: FailureEvent) -> None:
+        unit = failure.unit
+        track = (
+            self._track(unit.container, unit.name)
+            if unit.container
+            else self._track(unit.name, "process")
+        )
+        if failure.what:
+            args = {"reason": failure.reason, "backtrace": "\n".join(failure.frames)}
+            self._mark(track, self._time(failure.at_ns), failure.what, args)
 
     def _state(
         self,
@@ -157,8 +156,6 @@ class TraceMaker:
         self._close(track, at)
         if state not in _NOT_THERE:
             self._open[track] = _Slice(name, at, args)
-        if state in _BAD:
-            self._mark(track, at, name, args)
 
     def _close(self, track: Track, at: float) -> None:
         ended = self._open.pop(track, None)
@@ -264,18 +261,18 @@ class TraceMaker:
         return max(0, stamp_ns - self._started_ns) / 1000
 
 
-def trace_events(session: PastSession) -> Iterator[TraceEvent]:
+def trace_events(timeline: Timeline) -> Iterator[TraceEvent]:
     """Give the trace of a session while it is read.
 
     Raises:
         NotARecordingError: At once, for another kind of file.
     """
     maker: TraceMaker | None = None
-    for happened in session.events():
-        maker = maker or TraceMaker(session.started_ns)
-        yield from maker.add(happened)
+    for message, event in timeline.messages():
+        maker = maker or TraceMaker(timeline)
+        yield from maker.add(message, event)
     if maker is not None:
-        yield from maker.end(session.reader.end)
+        yield from maker.end(timeline.session.reader.end)
 
 
 def write_trace(events: Iterable[TraceEvent], about: Mapping[str, str], file: IO[str]) -> None:

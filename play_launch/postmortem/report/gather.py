@@ -14,7 +14,7 @@ from play_launch.postmortem.events import UnreadableEventError, event_of
 from play_launch.postmortem.report.lines import Lines
 from play_launch.postmortem.report.page import shown
 from play_launch.postmortem.report.usage import Rates, Usage
-from play_launch.postmortem.units import NO_UNIT, Fault, Unit
+from play_launch.postmortem.units import NO_UNIT, Unit
 from play_launch.recording import topics
 from play_launch.recording.console_format import ERROR, INFO
 from play_launch.supervisor.events import (
@@ -39,12 +39,6 @@ _STATS: Final = "/play_launch/…/stats"
 """Stands for the topics that hold what one unit used each."""
 _ARRIVALS: Final = 15
 """Nodes whose bring-up a page lists, the latest first."""
-_WORDS: Final = {
-    Fault.CRASHED: "crashed",
-    Fault.DIED: "died",
-    Fault.LOAD_FAILED: "failed to load",
-    Fault.STOP_TIMEOUT: "did not stop",
-}
 _RESULTS: Final = {NodeState.LOST: "lost its container", NodeState.LOAD_FAILED: "failed to load"}
 """How a node arrived, where the name of the state does not tell."""
 
@@ -199,17 +193,10 @@ class Gathered:
         return tuple(filter(None, map(self._mark, self.timeline.events)))
 
     def _mark(self, event: FailureEvent) -> Mark | None:
-        failure = event.failure
-        if failure is None:
-            what: str | None = "gave up"
-        elif failure.is_crash and failure.fault is not Fault.DIED:
-            what = "crashed"
-        else:
-            what = _WORDS.get(failure.fault)
-        if what is None:
+        if not event.what:
             return None
         trace = tuple(map(shown, event.frames))
-        return Mark(event.unit.number, self.at(event.at_ns), what, shown(event.reason), trace)
+        return Mark(event.unit.number, self.at(event.at_ns), event.what, shown(event.reason), trace)
 
     def lanes(self) -> Lanes:
         """Draw the changes of state."""

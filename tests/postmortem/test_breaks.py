@@ -1,0 +1,193 @@
+"""The tests of the findings can fail: each notices that the detection of its finding is broken."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import pytest
+
+from play_launch.postmortem import detect
+from play_launch.postmortem.detect import (
+    control_group,
+    growth,
+    incompatible_qos,
+    late_bring_up,
+    never_loaded,
+    recording,
+    restart_loop,
+    starvation,
+)
+from play_launch.postmortem.samples import _is_busy
+from play_launch.postmortem.timeline import Timeline
+from play_launch.postmortem.units import Fault
+from play_launch.supervisor.events import NodeState
+from tests.postmortem import test_detect, test_timeline
+from tests.postmortem.scenes import Scene
+from tests.support.breaks import rewrite
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+class Break(NamedTuple):
+    """A text in the source of a function, what stands there instead, and the test that notices."""
+
+    rule: Callable[..., Any]
+    old: str
+    new: str
+    notices: Callable[[Path], None]
+
+
+BREAKS: Final = {
+    "crashed": Break(
+        Timeline._node_failed,
+        "event.state is NodeState.CRASHED",
+        "event.state is NodeState.LOST",
+        lambda path: test_timeline.test_equal_crashes_are_one_finding_with_all_times(Scene(), path),
+    ),
+    "deaf": Break(
+        Timeline._exited,
+        "is not Cause.STOP_TIMEOUT",
+        "is not None",
+        lambda path: test_timeline.test_who_does_not_stop_is_deaf_and_who_does_is_fine(
+            Scene(), path
+        ),
+    ),
+    "died": Break(
+        Timeline._exited,
+        "and event.signal == 0",
+        "",
+        lambda path: test_timeline.test_who_was_hit_by_the_death_of_a_container(Scene(), path),
+    ),
+    "disk_full": Break(
+        recording.detect,
+        "free.after < LITTLE_DISK",
+        "free.after < 0",
+        test_timeline.test_a_recording_without_an_end_is_no_failure_and_a_full_disk_is,
+    ),
+    "grew": Break(
+        growth.detect,
+        "if key not in failed",
+        "if key in failed",
+        test_timeline.test_who_grows_without_failing,
+    ),
+    "incompatible_qos": Break(
+        incompatible_qos.detect,
+        'by_side[report["other"]]',
+        'by_side["publisher"]',
+        test_detect.test_publishers_and_subscriptions_that_do_not_match,
+    ),
+    "interrupted": Break(
+        recording.detect,
+        "in timeline.interruptions",
+        "in timeline.interruptions[1:]",
+        lambda path: test_timeline.test_interruptions_of_the_recording(Scene(), path),
+    ),
+    "killed": Break(
+        Timeline._process,
+        "if event.cause in _KILLED",
+        "if event.cause not in _KILLED",
+        lambda path: test_timeline.test_what_is_killed_for_its_own_sake(Scene(), path),
+    ),
+    "late_bring_up": Break(
+        late_bring_up.detect,
+        "later < _LATER",
+        "later > _LATER",
+        lambda path: test_detect.test_a_late_bring_up_with_its_critical_chain(path, 31, True),
+    ),
+    "load_failed": Break(
+        Timeline._node,
+        "NodeState.CRASHED | NodeState.LOAD_FAILED if",
+        "NodeState.CRASHED if",
+        lambda path: test_timeline.test_a_load_that_failed_and_a_crash_in_a_constructor(
+            Scene(), path
+        ),
+    ),
+    "not_loaded": Break(
+        never_loaded.detect,
+        "state not in _MISSING",
+        "state in _MISSING",
+        lambda path: test_timeline.test_a_node_that_was_never_loaded(path, NodeState.PENDING),
+    ),
+    "not_started": Break(
+        never_loaded.detect,
+        "state in _GAVE_UP",
+        "state not in _GAVE_UP",
+        test_detect.test_a_process_that_cannot_be_started,
+    ),
+    "oom": Break(
+        control_group.detect,
+        "if group.oom_times",
+        "if False",
+        test_detect.test_what_the_kernel_kills_and_refuses_for_limits,
+    ),
+    "pids_max": Break(
+        control_group.detect,
+        "if group.refused_times",
+        "if False",
+        test_detect.test_what_the_kernel_kills_and_refuses_for_limits,
+    ),
+    "restart_loop": Break(
+        restart_loop.detect,
+        "end - begin <= _WITHIN",
+        "end - begin > _WITHIN",
+        lambda path: test_detect.test_a_restart_loop(path, 2, True),
+    ),
+    "slow": Break(
+        Timeline._node,
+        "is_repeated and event.reason",
+        "is_repeated and not event.reason",
+        lambda path: test_timeline.test_a_slow_constructor_with_how_long_it_took(Scene(), path),
+    ),
+    "starved": Break(
+        starvation.detect,
+        "hit=times[0].hit",
+        "hit=()",
+        lambda path: test_timeline.test_who_starved_whom(path, 60.0, 30.0, True),
+    ),
+    "starved at rest": Break(
+        _is_busy,
+        "pressure >= _BUSY_PRESSURE",
+        "pressure >= 0",
+        lambda path: test_timeline.test_who_starved_whom(path, 0.0, 99.0, False),
+    ),
+    "throttled": Break(
+        control_group.detect,
+        "lasted * _THROTTLED",
+        "lasted",
+        lambda path: test_detect.test_a_unit_that_its_cpu_limit_throttles(path, 0.3, True),
+    ),
+    "throttled at rest": Break(
+        control_group.detect,
+        "lasted * _THROTTLED",
+        "0",
+        lambda path: test_detect.test_a_unit_that_its_cpu_limit_throttles(path, 0.05, False),
+    ),
+    "unfinished": Break(
+        recording.detect,
+        "if reader.counts",
+        "if not reader.counts",
+        test_timeline.test_a_recording_without_an_end_is_no_failure_and_a_full_disk_is,
+    ),
+}
+"""By the kind of the finding."""
+
+
+@pytest.mark.parametrize("broken", BREAKS.values(), ids=BREAKS)
+def test_a_broken_detection_is_noticed(
+    broken: Break, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "whole").mkdir()
+    (tmp_path / "broken").mkdir()
+    broken.notices(tmp_path / "whole")
+    rewrite(monkeypatch, broken.rule, broken.old, broken.new)
+    with pytest.raises((AssertionError, ValueError)):
+        broken.notices(tmp_path / "broken")
+
+
+def test_each_kind_of_finding_has_a_break() -> None:
+    sources = [path.read_text(encoding="utf-8") for path in Path(*detect.__path__).glob("*.py")]
+    kinds = {kind for text in sources for kind in re.findall(r'kind="(\w+)"', text)}
+    assert kinds | set(Fault) <= BREAKS.keys()
