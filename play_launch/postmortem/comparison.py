@@ -10,12 +10,10 @@ from msgspec import Struct
 from play_launch.postmortem.frames import Signature  # noqa: TC001 - a field of a Struct
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from play_launch.postmortem.bag_reader import BagReader
     from play_launch.postmortem.parameters import Parameters
     from play_launch.postmortem.timeline import Timeline
-    from play_launch.postmortem.units import Failure
 
 
 class Measure(StrEnum):
@@ -116,10 +114,15 @@ class Comparison(Struct, frozen=True):
 def compare(first: Timeline, second: Timeline) -> Comparison:
     """Compare two sessions, which were read to their ends."""
     crashes = _crash_changes(first, second)
-    old, new = _members(first), _members(second)
-    loaded = _bring_up(first).keys() - _bring_up(second).keys()
+    before, after = _numbers(first), _numbers(second)
+    old, new = before[Measure.RESTARTS].keys(), after[Measure.RESTARTS].keys()
+    loaded = before[Measure.BRING_UP].keys() - after[Measure.BRING_UP].keys()
     return Comparison(
-        changes=tuple(_changes(first, second)),
+        changes=tuple(
+            Deviation(each, who, before[each][who], after[each][who])
+            for each in Measure
+            for who in sorted(before[each].keys() & after[each].keys())
+        ),
         new_crashes=tuple(each for each in crashes if each.before == 0),
         gone_crashes=tuple(each for each in crashes if each.after == 0),
         more_crashes=tuple(each for each in crashes if 0 < each.before < each.after),
@@ -131,40 +134,18 @@ def compare(first: Timeline, second: Timeline) -> Comparison:
     )
 
 
-def _changes(first: Timeline, second: Timeline) -> Iterator[Deviation]:
-    for measure in Measure:
-        before, after = _numbers(first, measure), _numbers(second, measure)
-        for who in sorted(before.keys() & after.keys()):
-            yield Deviation(measure, who, before[who], after[who])
-
-
-def _numbers(timeline: Timeline, measure: Measure) -> Mapping[str, float]:
-    match measure:
-        case Measure.BRING_UP:
-            return _bring_up(timeline)
-        case Measure.PEAK_MEMORY:
-            return timeline.samples.peak_memory()
-        case Measure.CPU:
-            return timeline.samples.mean_cpu()
-        case Measure.RESTARTS:
-            return _restarts(timeline)
-
-
-def _bring_up(timeline: Timeline) -> dict[str, float]:
-    started = timeline.session.started_ns
-    return {each.key: (each.loaded_ns - started) / 1e9 for each in timeline.units if each.loaded_ns}
-
-
-def _restarts(timeline: Timeline) -> dict[str, float]:
+def _numbers(timeline: Timeline) -> dict[Measure, dict[str, float]]:
+    """Give the numbers of all units, by their keys; all units that are known have restarts."""
+    started, units = timeline.session.started_ns, timeline.units
+    known = (each for each in units if each.is_known and not each.is_withdrawn)
     return {
-        each.key: each.restarts
-        for each in timeline.units
-        if each.is_known and not each.is_withdrawn
+        Measure.BRING_UP: {
+            each.key: (each.loaded_ns - started) / 1e9 for each in units if each.loaded_ns
+        },
+        Measure.RESTARTS: {each.key: each.restarts for each in known},
+        Measure.PEAK_MEMORY: timeline.samples.peak_memory(),
+        Measure.CPU: timeline.samples.mean_cpu(),
     }
-
-
-def _members(timeline: Timeline) -> set[str]:
-    return set(_restarts(timeline))
 
 
 def _parameters(first: Parameters, second: Parameters) -> Iterator[ParameterChange]:
@@ -179,22 +160,15 @@ def _parameters(first: Parameters, second: Parameters) -> Iterator[ParameterChan
 
 
 def _crash_changes(first: Timeline, second: Timeline) -> list[CrashChange]:
-    before, after = _crashes(first), _crashes(second)
-    nothing: tuple[int, tuple[str, ...]] = (0, ())
+    groups = CrashGroups()
+    groups.add(first)
+    before = {group.signature: group.count for group in groups.sorted()}
+    groups.add(second)
     changes = []
-    for signature in sorted(before.keys() | after.keys()):
-        (one, old), (two, new) = before.get(signature, nothing), after.get(signature, nothing)
-        changes.append(CrashChange(signature, tuple(dict.fromkeys((*old, *new))), one, two))
+    for group in sorted(groups.sorted(), key=lambda one: one.signature):
+        count = before.get(group.signature, 0)
+        changes.append(CrashChange(group.signature, group.nodes, count, group.count - count))
     return changes
-
-
-def _crashes(timeline: Timeline) -> dict[Signature, tuple[int, tuple[str, ...]]]:
-    found: dict[Signature, tuple[int, tuple[str, ...]]] = {}
-    for failure in timeline.crashes:
-        assert failure.signature is not None
-        count, who = found.get(failure.signature, (0, ()))
-        found[failure.signature] = (count + len(failure.times), (*who, failure.who))
-    return found
 
 
 def _is_worse(measure: Measure, before: float, after: float) -> bool:
@@ -227,68 +201,64 @@ class CrashGroups:
     """Takes sessions one after the other, and keeps no more of them than is asked for."""
 
     def __init__(self) -> None:
-        """Begin without any."""
-        self._groups: dict[Signature, CrashGroup] = {}
+        self._crashes: dict[Signature, list[_Crash]] = {}
 
     def add(self, timeline: Timeline) -> None:
         """Take the crashes of a session."""
-        seen: set[Signature] = set()
         version = timeline.session.about.get("play_launch_version", "")
+        reader = timeline.session.reader
         for failure in timeline.crashes:
             signature = failure.signature
             assert signature is not None
-            one = _group_of(signature, failure, version, timeline.session.reader)
-            known = self._groups.get(signature)
-            if known is not None:
-                one = _merged_groups(known, one, again=signature in seen)
-            self._groups[signature] = one
-            seen.add(signature)
+            places = "\n".join(signature.frames)
+            builds = (
+                f"{module.name} {module.build_id[:12]}"
+                for module in failure.modules
+                if f"({module.name})" in places
+            )
+            crash = _Crash(
+                failure.who,
+                len(failure.times),
+                # Of several sessions only those by a clock that was set are in order.
+                min(failure.times) + reader.ahead_ns,
+                max(failure.times) + reader.ahead_ns,
+                version,
+                tuple(builds),
+                failure.cause,
+                str(reader.path),
+            )
+            self._crashes.setdefault(signature, []).append(crash)
 
     def sorted(self) -> tuple[CrashGroup, ...]:
         """Give the groups, the most frequent one first."""
-        return tuple(sorted(self._groups.values(), key=lambda one: (-one.count, -one.last_ns)))
+        groups = (_group_of(signature, found) for signature, found in self._crashes.items())
+        return tuple(sorted(groups, key=lambda one: (-one.count, -one.last_ns)))
 
 
-def _group_of(
-    signature: Signature, failure: Failure, version: str, reader: BagReader
-) -> CrashGroup:
-    places = "\n".join(signature.frames)
-    builds = (
-        f"{module.name} {module.build_id[:12]}"
-        for module in failure.modules
-        if f"({module.name})" in places
-    )
+class _Crash(Struct, frozen=True):
+    """The crashes of one unit in one session with one signature."""
+
+    who: str
+    count: int
+    first_ns: int
+    last_ns: int
+    version: str
+    builds: tuple[str, ...]
+    cause: str
+    path: str
+
+
+def _group_of(signature: Signature, crashes: Sequence[_Crash]) -> CrashGroup:
+    latest = max(crashes, key=lambda one: one.last_ns)
     return CrashGroup(
         signature=signature,
-        count=len(failure.times),
-        # Of several sessions only those by a clock that was set are in order.
-        first_ns=min(failure.times) + reader.ahead_ns,
-        last_ns=max(failure.times) + reader.ahead_ns,
-        sessions=1,
-        nodes=(failure.who,),
-        versions=tuple(filter(None, (version,))),
-        builds=tuple(sorted(builds)),
-        cause=failure.cause,
-        example=str(reader.path),
-    )
-
-
-def _merged_groups(old: CrashGroup, new: CrashGroup, *, again: bool) -> CrashGroup:
-    """Join two; ``again``: they are of one session."""
-    latest = new if new.last_ns >= old.last_ns else old
-    return CrashGroup(
-        signature=old.signature,
-        count=old.count + new.count,
-        first_ns=min(old.first_ns, new.first_ns),
+        count=sum(one.count for one in crashes),
+        first_ns=min(one.first_ns for one in crashes),
         last_ns=latest.last_ns,
-        sessions=old.sessions + (0 if again else new.sessions),
-        nodes=_joined(old.nodes, new.nodes),
-        versions=_joined(old.versions, new.versions),
-        builds=_joined(old.builds, new.builds),
+        sessions=len({one.path for one in crashes}),
+        nodes=tuple(sorted({one.who for one in crashes})),
+        versions=tuple(sorted({one.version for one in crashes if one.version})),
+        builds=tuple(sorted({build for one in crashes for build in one.builds})),
         cause=latest.cause,
-        example=latest.example,
+        example=latest.path,
     )
-
-
-def _joined(old: Iterable[str], new: Iterable[str]) -> tuple[str, ...]:
-    return tuple(sorted({*old, *new}))

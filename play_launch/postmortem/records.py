@@ -30,6 +30,7 @@ _LIMIT: Final = 1 << 24
 """Bytes of a record of another kind: it describes something."""
 _HEAD: Final = 1 << 14
 """Bytes of a record in which its length stands."""
+_BLOCK: Final = 1 << 20
 INDEX: Final = struct.Struct("<HI")
 """Channel and length of the entries, which follow."""
 _CHECKSUM: Final = struct.Struct("<I")
@@ -117,17 +118,24 @@ def check_end(file: IO[bytes], size: int, end_of_data: int, described: Collectio
         BrokenError: When it is not as it should be.
     """
     footer_at = size - len(MAGIC) - _FOOTER.size
-    file.seek(min(end_of_data, footer_at))
-    tail = file.read()
-    footer = tail[-len(MAGIC) - _FOOTER.size :]
-    if footer_at < end_of_data or footer[:1] != bytes([Opcode.FOOTER]) or not tail.endswith(MAGIC):
+    file.seek(max(0, footer_at))
+    footer = file.read()
+    is_footer = footer[:1] == bytes([Opcode.FOOTER]) and footer.endswith(MAGIC)
+    if footer_at < end_of_data or not is_footer:
         raise BrokenError("the summary at its end is not whole")
     _, _, summary, _, checksum = _FOOTER.unpack_from(footer)
     if (summary or footer_at) != end_of_data:
         raise BrokenError("a record says that the data ends here, and the file goes on")
-    if checksum not in {0, zlib.crc32(tail[: -len(MAGIC) - _CHECKSUM.size])}:
+    # In blocks: a file of days has an index of 100 MB.
+    longest, end = max(map(len, described), default=1), size - len(MAGIC) - _CHECKSUM.size
+    found, missing, tail = 0, set(described), b""
+    file.seek(end_of_data)
+    while block := file.read(min(_BLOCK, end - file.tell())):
+        found, tail = zlib.crc32(block, found), tail[-longest:] + block
+        missing = {record for record in missing if record not in tail}
+    if checksum not in {0, found}:
         raise BrokenError("the checksum of the summary is wrong")
-    if summary and not all(record in tail for record in described):
+    if summary and missing:
         raise BrokenError("a channel or schema is not described as in the summary")
 
 

@@ -200,6 +200,16 @@ def test_a_wrong_length_takes_no_memory(disk: Disk, kind: Opcode, tmp_path: Path
     assert reader.damages
 
 
+def test_what_follows_the_end_takes_no_memory(disk: Disk, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(recording())
+    os.truncate(path, 310_000_000)
+    reader = BagReader(path)
+    assert len(list(reader.messages())) == COUNT
+    assert disk.largest < 20_000_000
+    assert not reader.is_complete
+
+
 def test_damages_are_listed_up_to_a_number(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     no_record = b"\x0e" + bytes(8)
