@@ -13,7 +13,7 @@ from play_launch.cli import options
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import say
 from play_launch.postmortem.export.layouts import (
-    NO_SUBJECT,
+    Subjects,
     chosen,
     foxglove_layout,
     plotjuggler_layout,
@@ -35,7 +35,7 @@ def layout(
     TOOL is foxglove or plotjuggler. Of many nodes the layout shows those that failed and those that
     used the most CPU time.
     """
-    subjects, code = NO_SUBJECT, 0
+    subjects, code = Subjects(), 0
     if file is not None:
         timeline = read_timeline(file)
         subjects = chosen(timeline)

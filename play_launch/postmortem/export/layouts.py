@@ -6,7 +6,6 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from xml.etree import ElementTree as ET
 
-from play_launch.config.node_key import NodeKey
 from play_launch.recording import topics
 from play_launch.recording.topics import stats_topic
 from play_launch.supervisor.events import MemoryKind, SubjectKind
@@ -15,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from play_launch.postmortem.timeline import Timeline
+    from play_launch.postmortem.units import Unit
 
 _RECEIVED: Final = "receiveTime"
 _MACHINE_PERCENT: Final = {
@@ -38,34 +38,14 @@ MOST: Final = 12
 """Nodes and processes in one plot."""
 
 
-class Subject(NamedTuple):
-    """A container, a node or a process that was measured."""
-
-    kind: SubjectKind
-    key: str
-
-    @property
-    def topic(self) -> str:
-        """Where its samples are."""
-        return stats_topic(self.kind, self.key).name
-
-    @property
-    def label(self) -> str:
-        """Its name."""
-        return NodeKey.parsed(self.key).name if self.kind is SubjectKind.NODE else self.key
-
-
 class Subjects(NamedTuple):
-    """What is shown."""
+    """Units that were measured and are shown."""
 
-    containers: tuple[Subject, ...]
-    others: tuple[Subject, ...]
+    containers: Sequence[Unit] = ()
+    others: Sequence[Unit] = ()
     """Nodes and processes: those that failed, then those that used the most CPU time."""
-    memory: tuple[Subject, ...]
+    memory: Sequence[Unit] = ()
     """Those of both that have memory of their own."""
-
-
-NO_SUBJECT: Final = Subjects((), (), ())
 
 
 def chosen(timeline: Timeline) -> Subjects:
@@ -73,12 +53,15 @@ def chosen(timeline: Timeline) -> Subjects:
     used = timeline.samples.used()
     units = [unit for unit in timeline.units if unit.key in used]
     units.sort(key=lambda unit: (unit.failure is None, -used[unit.key].cpu_seconds, unit.key))
-    subjects = [Subject(unit.kind, unit.key) for unit in units]
-    containers = tuple(one for one in subjects if one.kind is SubjectKind.CONTAINER)[:MOST]
-    others = tuple(one for one in subjects if one.kind is not SubjectKind.CONTAINER)[:MOST]
+    containers = [one for one in units if one.kind is SubjectKind.CONTAINER][:MOST]
+    others = [one for one in units if one.kind is not SubjectKind.CONTAINER][:MOST]
     own = {key for key, sample in used.items() if sample.memory_kind != MemoryKind.SHARED}
-    memory = tuple(one for one in (*containers, *others) if one.key in own)
+    memory = [one for one in (*containers, *others) if one.key in own]
     return Subjects(containers, others, memory)
+
+
+def _topic(unit: Unit) -> str:
+    return stats_topic(unit.kind, unit.key).name
 
 
 def foxglove_layout(subjects: Subjects) -> dict[str, Any]:
@@ -122,19 +105,19 @@ def foxglove_layout(subjects: Subjects) -> dict[str, Any]:
     }
 
 
-def _paths(subjects: Iterable[Subject], field: str) -> list[dict[str, Any]]:
-    return [_path(f"{one.topic}.{field}", one.label) for one in subjects]
+def _paths(subjects: Iterable[Unit], field: str) -> list[dict[str, Any]]:
+    return [_path(f"{_topic(one)}.{field}", one.name) for one in subjects]
 
 
 def _path(value: str, label: str) -> dict[str, Any]:
     return {"value": value, "label": label, "enabled": True, "timestampMethod": _RECEIVED}
 
 
-def _state_path(subject: Subject) -> dict[str, Any]:
+def _state_path(subject: Unit) -> dict[str, Any]:
     which = f'{{key=="{subject.key}"}}{{kind=={subject.kind.value}}}'
     return {
         "value": f"{topics.STATES.name}{which}.state",
-        "label": subject.label,
+        "label": subject.name,
         "enabled": True,
         "timestampMethod": _RECEIVED,
     }
@@ -225,8 +208,8 @@ def plotjuggler_layout(subjects: Subjects) -> str:
     return f"<?xml version='1.0' encoding='UTF-8'?>\n{ET.tostring(root, encoding='unicode')}\n"
 
 
-def _curves(subjects: Iterable[Subject], field: str) -> tuple[str, ...]:
-    return tuple(f"{one.topic}/{field}" for one in subjects)
+def _curves(subjects: Iterable[Unit], field: str) -> tuple[str, ...]:
+    return tuple(f"{_topic(one)}/{field}" for one in subjects)
 
 
 def _tab(tabs: ET.Element, name: str, plots: Sequence[_Plot]) -> None:

@@ -13,7 +13,7 @@ from play_launch.cli.layout import layout as show_layout
 from play_launch.container.cdr.messages import PROCESS_STATS, STATE_EVENT, SYSTEM_STATS
 from play_launch.postmortem.export.layouts import (
     MOST,
-    NO_SUBJECT,
+    Subjects,
     chosen,
     foxglove_layout,
     plotjuggler_layout,
@@ -94,7 +94,7 @@ def test_foxglove_finds_every_path_in_the_recording(
 
 def test_panels_have_titles_in_both_viewers_and_legends_hide_no_curve() -> None:
     titles = set()
-    for kind, config in foxglove_layout(NO_SUBJECT)["configById"].items():
+    for kind, config in foxglove_layout(Subjects())["configById"].items():
         assert config["foxglovePanelTitle"] == config["lichtblickPanelTitle"]
         titles.add(config["foxglovePanelTitle"])
         if kind.startswith("Plot!"):
@@ -120,10 +120,10 @@ def test_plotjuggler_finds_every_curve_in_the_recording(
 
 
 def test_without_a_recording_the_machine_and_the_log_are_shown() -> None:
-    text = json.dumps(foxglove_layout(NO_SUBJECT))
+    text = json.dumps(foxglove_layout(Subjects()))
     assert "/play_launch/system.cpu_percent" in text
     assert "/play_launch/output" in text
-    tabs = ET.fromstring(plotjuggler_layout(NO_SUBJECT).encode()).iter("Tab")
+    tabs = ET.fromstring(plotjuggler_layout(Subjects()).encode()).iter("Tab")
     assert [tab.attrib["tab_name"] for tab in tabs] == ["machine"]
 
 
