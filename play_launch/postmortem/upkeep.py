@@ -41,14 +41,8 @@ async def look_after_sessions(
 ) -> None:
     """Recover what was cut off, and keep to the limits; until cancelled.
 
-    It is done by a process at the lowest priority, which ends when this is cancelled.
-
-    Args:
-        log_folder: Where the folders of the sessions are.
-        keep: The limits.
-        view: Gives the system as it stands.
-        guard: The program `spawn_guard`, which ties that process to this one.
-        rest: Seconds to wait when the system is up; `REST` unless it is given.
+    It is done by a process at the lowest priority, which ends when this is cancelled; the program
+    ``guard`` ties it to this one. It begins ``rest`` seconds (None: `REST`) after the bring-up.
     """
     await _end_of_bring_up(view)
     await asyncio.sleep(REST if rest is None else rest)

@@ -162,8 +162,8 @@ def sessions_to_remove(
 def remove_session(folder: Path) -> bool:
     """Remove a session that neither runs nor is pinned; return whether it is gone.
 
-    It is renamed first: readers find all of it or nothing, and `finish_removals` finishes a removal
-    that was killed. No link is followed. May raise ``OSError``.
+    It is renamed first: readers find all of it or nothing, and the next run finishes a removal that
+    was killed. No link is followed. May raise ``OSError``.
     """
     entry = session_entry(folder)
     if entry is None or entry.is_running or entry.is_pinned:
@@ -174,19 +174,6 @@ def remove_session(folder: Path) -> bool:
         return False
     shutil.rmtree(trash)
     return True
-
-
-def finish_removals(log_folder: Path) -> None:
-    """Remove the rest of folders whose removal was killed; raise ``OSError`` after trying all."""
-    failed = None
-    for path in log_folder.glob(f"{REMOVING}*"):
-        try:
-            if not path.is_symlink():
-                shutil.rmtree(path)
-        except OSError as error:
-            failed = error
-    if failed is not None:
-        raise failed
 
 
 def complete_session(folder: Path) -> list[Completed]:
@@ -292,11 +279,14 @@ def main() -> int:
 
 
 def remove(log_folder: Path, keep: KeepConfig, errors: list[str]) -> None:
+    """Finish removals that were killed, and remove the sessions beyond the limits."""
     removed = []
-    try:
-        finish_removals(log_folder)
-    except OSError as error:
-        errors.append(f"a removal in {log_folder} cannot be finished: {error.strerror}")
+    for trash in log_folder.glob(f"{REMOVING}*"):
+        try:
+            if not trash.is_symlink():
+                shutil.rmtree(trash)
+        except OSError as error:
+            errors.append(f"{trash} cannot be removed: {error.strerror}")
     for one in sessions_to_remove(list_sessions(log_folder), keep):
         try:
             if remove_session(log_folder / one.name):

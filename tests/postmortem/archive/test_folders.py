@@ -11,11 +11,12 @@ import pytest
 from play_launch.cli.export import export as export_session
 from play_launch.cli.output import whole_file
 from play_launch.cli.report import report as write_report
+from play_launch.config.model import KeepConfig
 from play_launch.control.registration import CONTROL_SOCKET
 from play_launch.postmortem.archive import (
     REMOVING,
-    finish_removals,
     list_sessions,
+    remove,
     remove_session,
     session_entry,
 )
@@ -135,7 +136,9 @@ def test_nothing_else_is_a_session_and_no_link_is_followed(tmp_path: Path) -> No
     assert [one.name for one in list_sessions(logs) if not one.is_pinned] == []
     for path in logs.iterdir():
         assert not remove_session(path)
-    finish_removals(logs)
+    errors: list[str] = []
+    remove(logs, KeepConfig(), errors)
+    assert errors == []
     assert everything(tmp_path) == before
 
 
@@ -144,7 +147,7 @@ def test_a_removal_that_was_killed_is_finished(tmp_path: Path) -> None:
     going = folder.rename(tmp_path / (REMOVING + folder.name))
     (going / "session.mcap").unlink()
     assert list_sessions(tmp_path) == []
-    finish_removals(tmp_path)
+    remove(tmp_path, KeepConfig(), [])
     assert list(tmp_path.iterdir()) == []
 
 
