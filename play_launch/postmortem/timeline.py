@@ -82,7 +82,7 @@ class Timeline:
         self.interruptions: list[RecordingInterrupted] = []
         self.samples, self.groups = Samples(), GroupUsage()
         self.parameters = Parameters()
-        self._lines = LastLines()
+        self.lines = LastLines()
         self._version1 = Version1()
         self._by_key: dict[tuple[bool, str], Unit] = {}
         self._known: dict[Reason, Failure] = {}
@@ -140,7 +140,7 @@ class Timeline:
         if topic.type_name == topics.GROUP_STATS:
             return self.groups.of(topic.key)
         if topic.name == topics.OUTPUT.name:
-            return self._lines.take
+            return self.lines.take
         if topic.name == topics.SYSTEM.name:
             return self.samples.take_system
         if topic.name in PARAMETER_TOPICS:
@@ -408,17 +408,13 @@ class Timeline:
 
     def last_lines(self, unit: Unit) -> tuple[str, ...]:
         """Give the last lines of a unit up to its latest change of state."""
-        return self._lines.of(unit.container, unit.name, unit.since_ns + _LATE_LINES)
-
-    def qos_reports(self) -> Iterator[tuple[int, str]]:
-        """Give the warnings of client libraries about incompatible QoS, with their log times."""
-        return self._lines.qos_reports()
+        return self.lines.of(unit.container, unit.name, unit.since_ns + _LATE_LINES)
 
     def _read_lines(self, failure: Failure) -> None:
         until = failure.log_time + _LATE_LINES
         if failure.container:  # when a node is loaded again, other lines follow
             until = min(until, failure.back_at or until)
-        failure.last_lines = self._lines.of(failure.container, failure.who, until)
+        failure.last_lines = self.lines.of(failure.container, failure.who, until)
 
 
 def read_timeline(path: Path, *, only_failures: bool = False) -> Timeline:

@@ -23,7 +23,7 @@ _ORDER: Final = "a publisher has to offer as much as is requested (reliable, tra
 
 def detect(timeline: Timeline) -> Iterator[Finding]:
     found: dict[str, list[tuple[int, re.Match[str]]]] = {}
-    for at_ns, text in timeline.qos_reports():
+    for at_ns, text in timeline.lines.qos_reports():
         if report := _REPORT.search(text):
             found.setdefault(report["topic"], []).append((at_ns, report))
     for topic, reports in found.items():

@@ -114,11 +114,12 @@ def test_the_end_of_a_process_errors_and_warnings_are_marks() -> None:
             OutputLine(stamp_ns=5, process="/tool", pid=3, stream=Stream.STDOUT, text="fine"),
             LogRecord(stamp_ns=5, level=30, name="l", message="careful"),
             LogRecord(stamp_ns=5, level=20, name="l", message="by the way"),
-            process(ProcessEventKind.EXITED, signal=9),
+            process(ProcessEventKind.EXITED, signal=9, message="exited with signal 9"),
         ]
     )
-    marks = [event["name"] for event in events if event["ph"] == "i"]
-    assert marks == ["[ERROR] [x]: no", "careful", "ended by signal 9"]
+    marks = [event for event in events if event["ph"] == "i"]
+    assert [mark["name"] for mark in marks] == ["[ERROR] [x]: no", "careful", "died"]
+    assert "signal 9" in marks[-1]["args"]["reason"]
 
 
 def test_samples_are_curves_that_hold_their_value() -> None:
