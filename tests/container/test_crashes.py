@@ -22,7 +22,6 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlUnload
 from std_msgs.msg import String
 
-from play_launch.ros.fastdds.shared_memory import sweep
 from tests.support.isolated import MODES, is_gone, only_these_remain, start, survives
 from tests.support.waiting import until
 
@@ -264,17 +263,3 @@ def test_images_go_on_by_pointer_after_crashes(
             os.kill(sink.pid, number)
             container.event(CRASHED, unique_id=sink.unique_id)
         assert_cleaned_up(container, crashes=3)
-
-
-def test_nodes_with_memory_of_their_own(
-    spawn: StartContainer, components: str, probe: Probe
-) -> None:
-    container = start(spawn, "isolated", "--isolation", "process")
-    with survives(container):
-        talker = container.loaded("Talker", package=components)
-        crasher = container.loaded("Crasher", package=components)
-        assert len({talker.pid, crasher.pid, container.process.pid}) == 3
-        order_crash(probe, "segv")
-        assert container.event(CRASHED, unique_id=crasher.unique_id).signal == SIGSEGV
-        probe.collect(String, "/chatter", 5)
-    sweep()  # as the supervisor does: the dead node's participant was its own

@@ -14,7 +14,6 @@ from std_msgs.msg import String
 from play_launch.ros.fastdds.shared_memory import sweep
 from tests.support.control_peer import PATIENCE
 from tests.support.isolated import (
-    MODES,
     children,
     only_these_remain,
     start,
@@ -25,11 +24,7 @@ from tests.support.ros import Probe
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
 
-UNLOADED, LOADING = ComponentEvent.UNLOADED, ComponentEvent.LOADING
 CRASHED, LOAD_FAILED = ComponentEvent.CRASHED, ComponentEvent.LOAD_FAILED
-FOREVER = {"seconds": 3600.0}
-
-both_modes = pytest.mark.parametrize("mode", MODES)
 
 
 def start_separate(spawn: StartContainer, mode: str = "isolated") -> Container:
@@ -37,11 +32,12 @@ def start_separate(spawn: StartContainer, mode: str = "isolated") -> Container:
 
 
 @pytest.mark.parametrize(("how", "number"), [("segv", 11), ("kill", 9), ("exit", 0)])
-def test_a_crash_is_told(spawn: StartContainer, how: str, number: int) -> None:
+def test_a_crash_is_told(spawn: StartContainer, package: str, how: str, number: int) -> None:
     container = start_separate(spawn)
     with survives(container), Probe() as probe:
-        talker = container.loaded("Talker")
-        crasher = container.loaded("Crasher")
+        talker = container.loaded("Talker", package=package)
+        crasher = container.loaded("Crasher", package=package)
+        assert len({talker.pid, crasher.pid, container.process.pid}) == 3
         order = probe.node.create_publisher(String, "/crash", 1)
         probe.spin_until(
             lambda: order.get_subscription_count() > 0, PATIENCE, "the crasher's subscription"

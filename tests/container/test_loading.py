@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +15,7 @@ from tests.support.isolated import ALL_MODES, MODES, children, only_these_remain
 
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
+    from tests.support.ros import Probe
 
 LOADED, UNLOADED, LOAD_FAILED = (
     ComponentEvent.LOADED,
@@ -40,39 +43,80 @@ def test_many_loads_at_once(spawn: StartContainer, package: str, mode: str) -> N
     assert container.shut_down() == 0, container.log.read_text()
 
 
-FAILURES: list[tuple[str, dict[str, Any], list[str]]] = [
-    ("Nobody", {"package": "no_such_package"}, ["no_such_package"]),
-    ("Talker", {"package": ""}, ["no package"]),
-    ("Nobody", {}, ["Nobody", "play_launch_demo::Talker"]),
-    ("MissingLibrary", {"package": "play_launch_broken"}, ["libplay_launch_not_there.so"]),
-    ("MissingSymbol", {"package": "play_launch_broken"}, ["undefined symbol", "defined_nowhere"]),
-    ("NotInTheLibrary", {"package": "play_launch_broken"}, ["libplay_launch_demo.so"]),
-    ("ThrowingConstructor", {}, ["no such camera"]),
-    ("ThrowingConstructor", {"parameters": {"standard_exception": False}}, ["int"]),
-    ("Talker", {"parameters": {"rate": "fast"}}, ["rate", "double", "string"]),
-    ("Talker", {"parameters": {"rate": -1.0}}, ["rate", "-1"]),
+Failure = tuple[str, dict[str, Any], list[str]]
+FAILURES: list[Failure] = [
+    ("Nobody", {"package": "no_such_package"}, ["'no_such_package' has no components"]),
+    ("Nobody", {}, ["Nobody", "{package}::Talker"]),
+    ("ThrowingConstructor", {}, ["camera"]),
+    ("Talker", {"parameters": {"rate": "fast"}}, ["rate"]),
     ("Talker", {"extra_arguments": {"use_intra_process_comms": 1}}, ["a boolean"]),
     ("Talker", {"remap_rules": ["chatter"]}, ["chatter"]),
     ("Talker", {"node_name": "1st"}, ["1st"]),
     ("Talker", {"node_namespace": "not absolute!"}, ["not absolute!"]),
-    ("Talker", {"log_level": 60}, ["60"]),
 ]
+"""Of components of both kinds: plugin, request, what is reported."""
+FAILURES_OF: dict[str, list[Failure]] = {
+    "play_launch_demo": [
+        ("Talker", {"package": ""}, ["no package"]),
+        ("MissingLibrary", {"package": "play_launch_broken"}, ["libplay_launch_not_there.so"]),
+        ("MissingSymbol", {"package": "play_launch_broken"}, ["undefined symbol", "nowhere"]),
+        ("NotInTheLibrary", {"package": "play_launch_broken"}, ["libplay_launch_demo.so"]),
+        ("ThrowingConstructor", {"parameters": {"standard_exception": False}}, ["int"]),
+        ("Talker", {"parameters": {"rate": -1.0}}, ["rate", "-1"]),
+        ("Talker", {"log_level": 60}, ["60"]),
+    ],
+    "test_components": [
+        ("NeverRegistered", {}, ["registers only", "RCLCPP_COMPONENTS_REGISTER_NODE"]),
+        ("Unresolved", {}, ["cannot load library", "defined_nowhere"]),
+    ],
+}
+INDEX = {"play_launch_demo": "play_launch_components", "test_components": "rclcpp_components"}
 
 
 @pytest.mark.parametrize("mode", ["standard", "isolated"])
-def test_failures_have_reasons_and_leave_nothing(spawn: StartContainer, mode: str) -> None:
+def test_failures_have_reasons_and_leave_nothing(
+    spawn: StartContainer, package: str, mode: str, probe: Probe
+) -> None:
     container = start(spawn, mode)
     with survives(container):
-        cases = {container.load(plugin, **fields): reasons for plugin, fields, reasons in FAILURES}
-        for _ in FAILURES:
+        failures = [*FAILURES, *FAILURES_OF[package]]
+        cases = {
+            container.load(plugin, **{"package": package, **fields}): reasons
+            for plugin, fields, reasons in failures
+        }
+        for _ in failures:
             event = container.event(LOAD_FAILED)
             for reason in cases.pop(event.attempt):
-                assert reason in event.error_message
+                assert reason.format(package=package) in event.error_message
             assert event.signal == 0
         if mode == "isolated":
             assert only_these_remain(container)
         assert container.status().crashes == 0
-        container.loaded("Talker")
+        container.loaded("Talker", package=package)
+        names = probe.node.get_node_names
+        probe.spin_until(
+            lambda: "talker" in names() and "throwing_constructor" not in names(),
+            30.0,
+            "the graph without the half of a node",
+        )
+
+
+def test_a_missing_library_and_a_damaged_index(
+    spawn: StartContainer, package: str, tmp_path: Path
+) -> None:
+    index = tmp_path / "share" / "ament_index" / "resource_index" / INDEX[package]
+    index.mkdir(parents=True)
+    (index / "gone").write_text("gone::Node;lib/libgone.so\n")
+    (index / "damaged").write_text("damaged::Node\n")
+    paths = [str(tmp_path), os.environ.get("AMENT_PREFIX_PATH", ""), sys.prefix]
+    container = start(spawn, environment={"AMENT_PREFIX_PATH": os.pathsep.join(paths)})
+    with survives(container):
+        container.load("gone::Node", package="gone")
+        failed = container.event(LOAD_FAILED)
+        assert f"cannot load library {tmp_path}/lib/libgone.so" in failed.error_message
+        container.load("damaged::Node", package="damaged")
+        assert "is not of the form class;library" in container.event(LOAD_FAILED).error_message
+        container.loaded("Talker", package=package)
 
 
 def test_of_a_failure_s_long_text_the_beginning_is_reported(container: Container) -> None:

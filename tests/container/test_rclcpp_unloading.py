@@ -47,22 +47,6 @@ def test_it_waits_for_a_running_callback(
 
 
 @pytest.mark.parametrize("mode", ALL_MODES)
-def test_again_and_again_beside_a_busy_node(
-    spawn: StartContainer, components: str, mode: str, probe: Probe
-) -> None:
-    container = start(spawn, mode)
-    container.loaded("Talker", package=components, node_name="stays")
-    for _ in range(20):
-        node = container.loaded(
-            "Talker", package=components, node_name="goes", parameters={"rate": 1000.0}
-        )
-        container.send(ControlUnload(unique_id=node.unique_id))
-        container.event(UNLOADED, unique_id=node.unique_id)
-    probe.collect(String, "/chatter", 5, timeout=60.0)
-    assert container.shut_down() == 0, container.log.read_text()
-
-
-@pytest.mark.parametrize("mode", ALL_MODES)
 def test_nobody_calls_a_node_that_is_destroyed(
     spawn: StartContainer, components: str, mode: str
 ) -> None:

@@ -25,6 +25,7 @@ from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from tests.support.mounts import disk_of
 from tests.support.replay import COMMAND, Replay, alive, replaying
+from tests.support.scenes import ending
 from tests.support.waiting import until
 
 SYSTEM = """
@@ -234,13 +235,15 @@ def test_a_process_that_is_deaf_to_signals_is_stopped_all_the_same(
 def test_what_a_person_stopped_does_not_count_in_the_exit_code(
     done: tuple[tuple[str, ...], ...], code: int, config: Path, tmp_path: Path
 ) -> None:
-    text = config.read_text(encoding="utf-8").replace("name: robot", "name: robot\nduration: 20 s")
-    config.write_text(text, encoding="utf-8")
+    end = tmp_path / "end"
+    with config.open("a", encoding="utf-8") as file:
+        file.write(f"  - {json.dumps(ending(end))}\n")
     with running(config, tmp_path / "logs") as replay:
         for arguments in done:
             ask(*arguments)
             if arguments[:2] == ("signal", "KILL"):
                 until(lambda: rows("/sleeper")["/sleeper"]["pid"] is None, "its end")
+        end.touch()
         replay.read_all()
     assert replay.process.returncode == code
 

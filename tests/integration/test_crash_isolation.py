@@ -15,7 +15,7 @@ import pytest
 
 from play_launch.container.environment import find_allocator
 from tests.support.replay import Replay, alive, is_, recorded, replaying
-from tests.support.scenes import container, node, written
+from tests.support.scenes import container, ending, node, written
 from tests.support.tracing import stopped_by_a_tracer
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -140,40 +140,21 @@ def lab(on_crash: str, how: str, name: str = "lab", **keys: Any) -> dict[str, An
 BYSTANDER = container("bystander", node("witness", "Listener"))
 
 
-@pytest.mark.parametrize(
-    ("kind", "isolation"), [("isolated", "process"), ("isolated_mt", "shared_memory")]
-)
-def test_a_crash_stays_alone_in_every_kind_of_isolation(
-    kind: str, isolation: str, tmp_path: Path
-) -> None:
-    one = {**lab("reload", "segv", isolation=isolation), "container_type": kind}
-    with replaying(written(tmp_path, containers=[one]), tmp_path / "logs") as replay:
-        for _ in range(3):
-            crash = replay.until(full_node_name="/lab_crasher", kind="crashed")
-            assert crash["signal"] == signal.SIGSEGV
-            again = replay.until(full_node_name="/lab_crasher", kind="loaded")
-            assert again["pid"] not in {crash["pid"], pid_of(replay, "/lab")}
-        (talker,) = components(replay, "/lab_talker", "loaded")
-        assert psutil.pid_exists(talker["pid"])
-        ready = processes(replay, "/lab", "ready")
-        assert [each["message"].split(",")[0] for each in ready] == [f"{kind} by {isolation}"]
-        replay.process.send_signal(signal.SIGTERM)
-        replay.read_all()
-    assert replay.process.returncode == 128 + signal.SIGTERM
-    assert len(processes(replay, "/lab", "started")) == 1
-
-
 def test_a_crash_may_be_ignored_or_stop_its_container(tmp_path: Path) -> None:
     containers = [
         lab("ignore", "exception", "ignoring"),
         lab("stop_container", "segv", "stopping"),
         BYSTANDER,
     ]
-    config = written(tmp_path, containers=containers, duration="12 s")
+    end = tmp_path / "end"
+    config = written(tmp_path, containers=containers, nodes=[ending(end)])
     with replaying(config, tmp_path / "logs") as replay:
         exited = replay.until(name="/stopping", kind="exited")
         assert (exited["exit_code"], exited["signal"]) == (0, 0)
         assert psutil.pid_exists(pid_of(replay, "/bystander"))
+        if not components(replay, "/ignoring_crasher", "crashed"):
+            replay.until(full_node_name="/ignoring_crasher", kind="crashed")
+        end.touch()
         replay.read_all()
     assert replay.seen[-1]["exit_code"] == replay.process.returncode == 1
     for name in ("/ignoring", "/stopping"):

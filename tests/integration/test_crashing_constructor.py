@@ -62,7 +62,7 @@ def test_a_node_that_hangs_in_its_constructor_is_unloaded_and_loaded_again(tmp_p
         replay.read_until_states({"/bad": "loading"})
         first = next(event["pid"] for event in replay.seen[::-1] if event.get("node") == "/bad")
         # As a new one, which hangs as well.
-        assert replay.ask("reload", "/bad", "--timeout", "10").returncode != 0
+        assert replay.ask("reload", "/bad", "--timeout", "3").returncode != 0
         replay.read_until(
             lambda event: (
                 event["event"] == "node"

@@ -15,7 +15,7 @@ from composition_interfaces.srv import UnloadNode
 
 from tests.support.replay import Replay, replaying
 from tests.support.ros import Probe
-from tests.support.scenes import container, node, written
+from tests.support.scenes import container, ending, node, written
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,11 @@ def configuration(path: Path, name: str, case: Case, end: Path) -> Path:
         node("talker", namespace=f"/{name}"),
         node("listener", case.other, namespace=f"/{name}"),
     ]
-    waiting = f"until [ -e {end} ]; do sleep 0.1; done"
-    ending = {"name": "end", "command": ["sh", "-c", waiting], "on_exit": "shutdown"}
     return written(
         path,
         composable_node_loading={"restart": {"backoff": {"initial": "100 s", "maximum": "100 s"}}},
         containers=[container(name, *nodes, container_type=case.kind)],
-        nodes=[ending],
+        nodes=[ending(end)],
     )
 
 

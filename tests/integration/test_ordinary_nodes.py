@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import signal
 import sys
@@ -12,7 +13,7 @@ from typing import Any
 import psutil
 import pytest
 
-from tests.support.replay import Replay, alive, recorded, replaying
+from tests.support.replay import Replay, alive, recorded, replaying, run
 from tests.support.scenes import container, node, written
 from tests.support.slow_programs import slow_to_execute
 from tests.support.waiting import until
@@ -75,6 +76,17 @@ def test_a_missing_directory_is_named(tmp_path: Path) -> None:
     assert replay.process.returncode == 1
     (gave_up,) = (event for event in replay.seen if event.get("kind") == "gave_up")
     assert f"its working directory is no directory: {tmp_path}/nowhere" in gave_up["message"]
+
+
+def test_one_mistake_keeps_all_the_rest_from_starting(tmp_path: Path) -> None:
+    started = tmp_path / "started"
+    bad = {"name": "bad", "comand": ["true"]}
+    config = write(tmp_path, [{"name": "good", "command": ["touch", str(started)]}, bad])
+    refused = run("replay", config, "--log-dir", tmp_path / "logs", code=2)
+    assert re.search(r"robot\.yaml:1:\d+: nodes\[1\]", refused.stderr), refused.stderr
+    assert "Traceback" not in refused.stderr
+    assert not (tmp_path / "logs").exists()
+    assert not started.exists()
 
 
 @pytest.mark.parametrize("end", ["stopped meanwhile", "executed at last"])

@@ -82,16 +82,6 @@ def test_nothing_outlives_a_supervisor_that_is_killed_alone(
     until(lambda: not ports_of(ros_domain), "an empty shared memory")
 
 
-def test_an_orderly_stop_leaves_nothing_either(tmp_path: Path) -> None:
-    config = written(tmp_path, **configuration())
-    with replaying(config, tmp_path / "logs") as replay:
-        left = started(replay)
-        os.kill(replay.pid, signal.SIGINT)
-        replay.read_all()
-        assert replay.process.returncode == 128 + signal.SIGINT
-        assert not alive(left)
-
-
 def test_containers_and_their_nodes_do_not_outlive_supervisor_and_guard_killed_together(
     tmp_path: Path,
 ) -> None:

@@ -94,43 +94,6 @@ async def test_closing_it_leaves_nothing(guard: Path, how: str) -> None:
     assert not session.is_alive
 
 
-SUPERVISOR = """
-import asyncio, sys
-from pathlib import Path
-from play_launch.process.child import spawn
-from play_launch.process.guard import SessionGuard
-from tests.process import test_guard
-
-async def main():
-    guard = SessionGuard.start(Path(sys.argv[1]))
-    for how in test_guard.ESCAPES:
-        for process in await test_guard.escaped(guard, how):
-            print(process.pid)
-    print("ready", flush=True)
-    await asyncio.sleep(600)
-
-asyncio.run(main())
-"""
-
-
-def test_nothing_outlives_a_supervisor_that_is_killed_by_a_second(guard: Path) -> None:
-    supervisor = subprocess.Popen(
-        [sys.executable, "-c", SUPERVISOR, guard], stdout=subprocess.PIPE, text=True
-    )
-    assert supervisor.stdout is not None
-    lines = [line.strip() for line in iter(supervisor.stdout.readline, "ready\n")]
-    left = [psutil.Process(int(line)) for line in lines]
-    left += psutil.Process(supervisor.pid).children(recursive=True)
-    supervisor.kill()
-    supervisor.wait()
-    psutil.wait_procs(left, timeout=1.0)
-    left = alive(left)
-    for each in left:
-        each.kill()
-    supervisor.stdout.close()
-    assert not left
-
-
 def supervisor_with_a_last_command(guard: Path, mark: Path, end: str) -> int:
     """Run one that starts a process and ends in this way; return its exit status."""
     code = f"""

@@ -29,6 +29,12 @@ def container(name: str, *nodes: dict[str, Any], **more: Any) -> dict[str, Any]:
     return {"name": name, "composable_nodes": list(nodes), **more}
 
 
+def ending(file: Path) -> dict[str, Any]:
+    """A process that ends its system in order when that file is there."""
+    waiting = f"until [ -e {file} ]; do sleep 0.1; done"
+    return {"name": "end", "command": ["sh", "-c", waiting], "on_exit": "shutdown"}
+
+
 def written(path: Path, **keys: Any) -> Path:
     """Write a configuration; a folder gets it as ``robot.yaml``."""
     path = path / "robot.yaml" if path.is_dir() else path
