@@ -31,16 +31,6 @@ if TYPE_CHECKING:
 
 SOURCES = Path(__file__).parent / "rclcpp_components"
 
-OTHER_CONTAINER = "PLAY_LAUNCH_CONTAINER"
-"""Environment variable: another container than the installed one, which then gets the environment
-as it is."""
-
-
-def _command_and_environment() -> tuple[str, dict[str, str]]:
-    if OTHER_CONTAINER in os.environ:
-        return os.environ[OTHER_CONTAINER], dict(os.environ)
-    return str(component_container()), child_environment(os.environ, ros_installation())
-
 
 def _end(container: Container) -> None:
     container.close()
@@ -62,8 +52,8 @@ def spawn(tmp_path: Path) -> Iterator[StartContainer]:
             failpoints: str = "",
             environment: Mapping[str, str] | None = None,
         ) -> Container:
-            command, environ = _command_and_environment()
-            environ.update(environment or {})
+            command = str(component_container())
+            environ = child_environment(os.environ, ros_installation()) | dict(environment or {})
             misbehaving = ["--failpoints", failpoints] if failpoints else []
             ours: socket.socket | None = None
             theirs: socket.socket | None = None

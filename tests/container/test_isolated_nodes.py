@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from composition_interfaces.srv import ListNodes
 from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload, NodeStatus
 from std_msgs.msg import String
 
@@ -64,8 +63,7 @@ def test_every_node_is_a_process(spawn: StartContainer, mode: str, mechanism: st
                 name = Path(f"/proc/{event.pid}/comm").read_text().strip()
                 assert f"/{name}" == event.full_node_name
         assert {node.pid for node in container.status().nodes} == pids
-        listed = probe.call(ListNodes, "/container/_container/list_nodes", ListNodes.Request())
-        assert set(listed.full_node_names) == {event.full_node_name for event in events}
+        assert dict(probe.nodes()).keys() == {event.full_node_name for event in events}
         first, *others = events
         gone = unload(container, first.unique_id)
         assert (gone.pid, gone.error_message, gone.signal) == (first.pid, "", 0)

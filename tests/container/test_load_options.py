@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters
 from std_msgs.msg import String
@@ -32,12 +31,6 @@ TYPED: dict[str, tuple[int, str, Any]] = {
 both = pytest.mark.parametrize("mode", ["standard", "isolated"])
 
 
-def request(components: str, plugin: str, **fields: Any) -> LoadNode.Request:
-    return LoadNode.Request(
-        package_name=components, plugin_name=f"test_components::{plugin}", **fields
-    )
-
-
 @both
 def test_parameters_keep_their_types(
     spawn: StartContainer, components: str, mode: str, probe: Probe
@@ -47,11 +40,7 @@ def test_parameters_keep_their_types(
         Parameter(name=name, value=ParameterValue(type=kind, **{field: value}))
         for name, (kind, field, value) in TYPED.items()
     ]
-    loaded = probe.call(
-        LoadNode,
-        "/container/_container/load_node",
-        request(components, "Options", parameters=given),
-    )
+    loaded = probe.load("Options", package=components, parameters=given)
     assert loaded.success, loaded.error_message
     answer = probe.call(
         GetParameters, "/options/get_parameters", GetParameters.Request(names=list(TYPED))
@@ -67,32 +56,24 @@ def test_names_remappings_and_extra_arguments(
     spawn: StartContainer, components: str, mode: str, probe: Probe
 ) -> None:
     start(spawn, mode)
-    loaded = probe.call(
-        LoadNode,
-        "/container/_container/load_node",
-        request(
-            components,
-            "Options",
-            node_name="facts",
-            node_namespace="/some/where",
-            remap_rules=["options:=renamed"],
-            log_level=10,
-            extra_arguments=[
-                parameter("use_intra_process_comms", value=True),
-                parameter("unknown_to_upstream", "and not looked at"),
-            ],
-        ),
+    loaded = probe.load(
+        "Options",
+        package=components,
+        node_name="facts",
+        node_namespace="/some/where",
+        remap_rules=["options:=renamed"],
+        log_level=10,
+        extra_arguments=[
+            parameter("use_intra_process_comms", value=True),
+            parameter("unknown_to_upstream", "and not looked at"),
+        ],
     )
     assert (loaded.success, loaded.full_node_name) == (True, "/some/where/facts")
     (facts,) = probe.collect(String, "/some/where/renamed", qos=LATCHED)
     assert facts.data.startswith("intra_process=1 global=0 debug=1 pid=")
-    listed = probe.call(ListNodes, "/container/_container/list_nodes", ListNodes.Request())
-    assert list(listed.full_node_names) == ["/some/where/facts"]
-    gone = probe.call(
-        UnloadNode,
-        "/container/_container/unload_node",
-        UnloadNode.Request(unique_id=loaded.unique_id),
-    )
+    listed = probe.nodes()
+    assert listed == [("/some/where/facts", loaded.unique_id)]
+    gone = probe.unload(loaded.unique_id)
     assert gone.success, gone.error_message
 
 
@@ -101,7 +82,7 @@ def test_what_is_not_said_is_off(
     spawn: StartContainer, components: str, mode: str, probe: Probe
 ) -> None:
     start(spawn, mode)
-    loaded = probe.call(LoadNode, "/container/_container/load_node", request(components, "Options"))
+    loaded = probe.load("Options", package=components)
     # The container's own name is a global argument, and not for the components in it.
     assert (loaded.success, loaded.full_node_name) == (True, "/options")
     (facts,) = probe.collect(String, "/options", qos=LATCHED)
@@ -114,20 +95,12 @@ def test_any_number_of_components_may_ignore_their_options(
 ) -> None:
     container = start(spawn, mode)
     for name in ("one", "another", "third"):
-        loaded = probe.call(
-            LoadNode,
-            "/container/_container/load_node",
-            request(components, "WithoutOptions", node_name=name),
-        )
+        loaded = probe.load("WithoutOptions", package=components, node_name=name)
         assert (loaded.success, loaded.full_node_name) == (True, "/container"), loaded.error_message
-    listed = probe.call(ListNodes, "/container/_container/list_nodes", ListNodes.Request())
-    assert list(listed.full_node_names) == ["/container"] * 3
-    for unique_id in listed.unique_ids:
-        gone = probe.call(
-            UnloadNode,
-            "/container/_container/unload_node",
-            UnloadNode.Request(unique_id=unique_id),
-        )
+    listed = probe.nodes()
+    assert [name for name, _ in listed] == ["/container"] * 3
+    for _, unique_id in listed:
+        gone = probe.unload(unique_id)
         assert gone.success, gone.error_message
     assert container.shut_down() == 0, container.log.read_text()
 
@@ -137,15 +110,11 @@ def test_global_arguments_are_forwarded_on_request(
     spawn: StartContainer, components: str, mode: str, probe: Probe
 ) -> None:
     start(spawn, mode)
-    loaded = probe.call(
-        LoadNode,
-        "/container/_container/load_node",
-        request(
-            components,
-            "Options",
-            node_name="mine",
-            extra_arguments=[parameter("forward_global_arguments", value=True)],
-        ),
+    loaded = probe.load(
+        "Options",
+        package=components,
+        node_name="mine",
+        extra_arguments=[parameter("forward_global_arguments", value=True)],
     )
     assert (loaded.success, loaded.full_node_name) == (True, "/mine")
     (facts,) = probe.collect(String, "/options", qos=LATCHED)
@@ -158,15 +127,11 @@ def test_the_type_description_service_is_a_parameter(
 ) -> None:
     start(spawn, mode)
     for name, on in (("with", True), ("without", False)):
-        loaded = probe.call(
-            LoadNode,
-            "/container/_container/load_node",
-            request(
-                components,
-                "Talker",
-                node_name=name,
-                parameters=[parameter("start_type_description_service", value=on)],
-            ),
+        loaded = probe.load(
+            "Talker",
+            package=components,
+            node_name=name,
+            parameters=[parameter("start_type_description_service", value=on)],
         )
         assert loaded.success, loaded.error_message
     services = lambda: dict(probe.node.get_service_names_and_types())  # noqa: E731

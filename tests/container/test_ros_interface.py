@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from composition_interfaces.srv import ListNodes
 from play_launch_msgs.msg import ComponentEvent
 from rcl_interfaces.srv import GetParameters
 
@@ -15,7 +14,6 @@ if TYPE_CHECKING:
 
 LOADED, LOADING = ComponentEvent.LOADED, ComponentEvent.LOADING
 EVENTS = "/container/_container/component_events"
-LIST = "/container/_container/list_nodes"
 
 
 def test_events_before_the_topic_was_offered_are_published(container: Container) -> None:
@@ -26,8 +24,7 @@ def test_events_before_the_topic_was_offered_are_published(container: Container)
             (LOADING, loaded.unique_id),
             (LOADED, loaded.unique_id),
         ]
-        listed = probe.call(ListNodes, LIST, ListNodes.Request())
-        assert listed.full_node_names == ["/early"]
+        assert probe.nodes() == [("/early", loaded.unique_id)]
         request = GetParameters.Request(names=["thread_num"])
         answer = probe.call(GetParameters, "/container/get_parameters", request)
         assert answer.values[0].integer_value == 0
@@ -36,7 +33,7 @@ def test_events_before_the_topic_was_offered_are_published(container: Container)
 def test_a_container_without_loads_offers_its_services(container: Container) -> None:
     assert container.status().nodes == []
     with Probe() as probe:
-        assert probe.call(ListNodes, LIST, ListNodes.Request()).full_node_names == []
+        assert probe.nodes() == []
 
 
 def test_it_ends_in_order_before_it_has_offered_anything(spawn: StartContainer) -> None:

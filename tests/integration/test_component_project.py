@@ -9,7 +9,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-from composition_interfaces.srv import LoadNode
 from std_msgs.msg import Float64
 
 from tests.support.container import running_container
@@ -94,10 +93,6 @@ def test_a_component_built_outside_the_tree_runs(tmp_path: Path) -> None:
         running_container(name="power", log=log, environment=environment),
         Probe() as probe,
     ):
-        answer = probe.call(
-            LoadNode,
-            "/power/_container/load_node",
-            LoadNode.Request(package_name="my_robot", plugin_name="my_robot::Battery"),
-        )
+        answer = probe.load("Battery", package="my_robot", container="/power")
         assert answer.success, answer.error_message + log.read_text()
         assert probe.collect(Float64, "/voltage")[0].data == 24.0

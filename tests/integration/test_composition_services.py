@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
+from composition_interfaces.srv import LoadNode
 from play_launch_msgs.msg import ComponentEvent
 from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
@@ -21,24 +21,8 @@ DEMO = "play_launch_demo"
 CONTAINER = "/container"
 
 
-def load_request(plugin: str, **fields: object) -> LoadNode.Request:
-    request = LoadNode.Request(package_name=DEMO, plugin_name=f"{DEMO}::{plugin}")
-    for name, value in fields.items():
-        setattr(request, name, value)
-    return request
-
-
 def parameter(name: str, kind: int, **value: object) -> Parameter:
     return Parameter(name=name, value=ParameterValue(type=kind, **value))
-
-
-def load(probe: Probe, plugin: str, **fields: object) -> LoadNode.Response:
-    return probe.call(LoadNode, f"{CONTAINER}/_container/load_node", load_request(plugin, **fields))
-
-
-def names(probe: Probe) -> dict[str, int]:
-    answer = probe.call(ListNodes, f"{CONTAINER}/_container/list_nodes", ListNodes.Request())
-    return dict(zip(answer.full_node_names, answer.unique_ids, strict=True))
 
 
 @pytest.fixture
@@ -59,29 +43,27 @@ def _container(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]
 
 @pytest.mark.usefixtures("container")
 def test_nodes_are_loaded_listed_and_unloaded(probe: Probe) -> None:
-    talker = load(probe, "Talker", node_name="speaker", node_namespace="/front")
+    talker = probe.load("Talker", node_name="speaker", node_namespace="/front")
     assert (talker.success, talker.full_node_name) == (True, "/front/speaker"), talker
-    listener = load(probe, "Listener")
+    listener = probe.load("Listener")
     assert (listener.success, listener.full_node_name) == (True, "/listener"), listener
-    assert names(probe) == {
+    assert dict(probe.nodes()) == {
         "/front/speaker": talker.unique_id,
         "/listener": listener.unique_id,
     }
 
-    unload = f"{CONTAINER}/_container/unload_node"
-    gone = probe.call(UnloadNode, unload, UnloadNode.Request(unique_id=talker.unique_id))
+    gone = probe.unload(talker.unique_id)
     assert gone.success, gone.error_message
-    assert names(probe) == {"/listener": listener.unique_id}
+    assert dict(probe.nodes()) == {"/listener": listener.unique_id}
 
-    again = probe.call(UnloadNode, unload, UnloadNode.Request(unique_id=talker.unique_id))
+    again = probe.unload(talker.unique_id)
     assert not again.success
     assert str(talker.unique_id) in again.error_message
 
 
 @pytest.mark.usefixtures("container")
 def test_a_plain_listener_hears_the_talker(probe: Probe) -> None:
-    assert load(
-        probe,
+    assert probe.load(
         "Talker",
         parameters=[parameter("rate", ParameterType.PARAMETER_DOUBLE, double_value=50.0)],
     ).success
@@ -107,8 +89,7 @@ def test_what_the_request_says_arrives_in_the_node_unchanged(probe: Probe) -> No
             "words", ParameterType.PARAMETER_STRING_ARRAY, string_array_value=["1", 'ü "q"', ""]
         ),
     ]
-    answer = load(
-        probe,
+    answer = probe.load(
         "Echo",
         node_name="parrot",
         node_namespace="/zoo",
@@ -150,7 +131,7 @@ def test_what_the_request_says_arrives_in_the_node_unchanged(probe: Probe) -> No
 
 @pytest.mark.usefixtures("container")
 def test_parameters_can_be_listed_and_set_like_those_of_any_node(probe: Probe) -> None:
-    assert load(probe, "Talker").success
+    assert probe.load("Talker").success
     listed = probe.call(ListParameters, "/talker/list_parameters", ListParameters.Request())
     assert {"rate", "text"} <= set(listed.result.names)
     answer = probe.call(
@@ -172,10 +153,10 @@ def test_parameters_can_be_listed_and_set_like_those_of_any_node(probe: Probe) -
     assert "not_there" in unknown.reason
 
 
-FAILURES: list[tuple[dict[str, Any], str]] = [
-    ({"plugin_name": f"{DEMO}::ThrowingConstructor"}, "no such camera"),
-    ({"node_namespace": "not absolute!"}, "not absolute!"),
-    ({"node_name": "taken"}, "/taken"),
+FAILURES: list[tuple[str, dict[str, Any], str]] = [
+    ("ThrowingConstructor", {}, "no such camera"),
+    ("Talker", {"node_namespace": "not absolute!"}, "not absolute!"),
+    ("Talker", {"node_name": "taken"}, "/taken"),
 ]
 """Of each way to fail there is one in tests/container/test_loading."""
 
@@ -183,10 +164,10 @@ FAILURES: list[tuple[dict[str, Any], str]] = [
 @pytest.mark.usefixtures("container")
 def test_failures_have_reasons_and_the_container_lives_on(probe: Probe) -> None:
     events = probe.listen(ComponentEvent, f"{CONTAINER}/_container/component_events", LATCHED)
-    first = load(probe, "Talker", node_name="taken")
+    first = probe.load("Talker", node_name="taken")
     assert first.success
-    for fields, reason in FAILURES:
-        answer = load(probe, "Talker", **fields)
+    for plugin, fields, reason in FAILURES:
+        answer = probe.load(plugin, **fields)
         assert not answer.success
         assert reason in answer.error_message
     probe.spin_until(
@@ -196,8 +177,8 @@ def test_failures_have_reasons_and_the_container_lives_on(probe: Probe) -> None:
     )
     for event in events:
         assert (event.error_message != "") == (event.event_type == ComponentEvent.LOAD_FAILED)
-    assert names(probe) == {"/taken": first.unique_id}
-    assert load(probe, "Listener").success
+    assert dict(probe.nodes()) == {"/taken": first.unique_id}
+    assert probe.load("Listener").success
 
 
 @pytest.mark.usefixtures("container")
@@ -205,40 +186,14 @@ def test_a_slow_constructor_blocks_nobody(probe: Probe) -> None:
     slow = probe.start_call(
         LoadNode,
         f"{CONTAINER}/_container/load_node",
-        load_request(
-            "SlowConstructor",
+        LoadNode.Request(
+            package_name=DEMO,
+            plugin_name=f"{DEMO}::SlowConstructor",
             parameters=[parameter("seconds", ParameterType.PARAMETER_DOUBLE, double_value=3600.0)],
         ),
     )
-    talker = load(probe, "Talker")
+    talker = probe.load("Talker")
     assert talker.success
-    assert names(probe) == {"/talker": talker.unique_id}
-    assert probe.call(
-        UnloadNode,
-        f"{CONTAINER}/_container/unload_node",
-        UnloadNode.Request(unique_id=talker.unique_id),
-    ).success
+    assert dict(probe.nodes()) == {"/talker": talker.unique_id}
+    assert probe.unload(talker.unique_id).success
     assert not slow.done()
-
-
-def test_events_tell_the_story_to_those_who_come_late(container: Path, probe: Probe) -> None:
-    loaded = load(probe, "Talker")
-    probe.call(
-        UnloadNode,
-        f"{CONTAINER}/_container/unload_node",
-        UnloadNode.Request(unique_id=loaded.unique_id),
-    )
-    with Probe("late") as late:
-        events = late.collect(
-            ComponentEvent, f"{CONTAINER}/_container/component_events", count=3, qos=LATCHED
-        )
-    assert [event.event_type for event in events] == [
-        ComponentEvent.LOADING,
-        ComponentEvent.LOADED,
-        ComponentEvent.UNLOADED,
-    ]
-    assert {event.unique_id for event in events} == {loaded.unique_id}
-    assert {event.plugin_name for event in events} == {f"{DEMO}::Talker"}
-    pids = {event.pid for event in events}
-    assert len(pids) == 1
-    assert Path(f"/proc/{pids.pop()}").exists(), container.read_text()

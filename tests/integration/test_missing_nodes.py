@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from composition_interfaces.srv import UnloadNode
 
 from tests.support.replay import Replay, replaying
 from tests.support.ros import Probe
@@ -37,8 +36,8 @@ class Case:
 
 def unload_the_talker(name: str, nodes: dict[str, dict[str, Any]]) -> None:
     with Probe() as probe:
-        request = UnloadNode.Request(unique_id=nodes[f"/{name}/talker"]["unique_id"])
-        assert probe.call(UnloadNode, f"/{name}/_container/unload_node", request).success
+        unique_id = nodes[f"/{name}/talker"]["unique_id"]
+        assert probe.unload(unique_id, f"/{name}").success
 
 
 def terminate_the_container(name: str, nodes: dict[str, dict[str, Any]]) -> None:

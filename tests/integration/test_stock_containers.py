@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
 from std_msgs.msg import String
 
 from tests.support.container import running_container
@@ -54,10 +53,7 @@ def told(replay: Replay, word: str) -> list[str]:
 
 def listed(container: str) -> dict[str, int]:
     with Probe() as probe:
-        answer = probe.call(
-            ListNodes, f"{container}/_container/list_nodes", ListNodes.Request(), 60
-        )
-    return dict(zip(answer.full_node_names, answer.unique_ids, strict=True))
+        return dict(probe.nodes(container))
 
 
 HONEST = {
@@ -111,9 +107,7 @@ def test_a_node_that_somebody_else_unloads_is_told(tmp_path: Path) -> None:
         loaded = replay.read_until(state("/listener", "loaded"), "the node")
         replay.read_until(state("/broken", "load failed"), "the failure")
         with Probe() as probe:
-            request = UnloadNode.Request(unique_id=loaded["unique_id"])
-            service = "/honest/_container/unload_node"
-            assert probe.call(UnloadNode, service, request, 60).success
+            assert probe.unload(loaded["unique_id"], "/honest").success
         unloaded = replay.read_until(state("/listener", "unloaded"), "its end")
         assert "another program unloaded it" in unloaded["reason"]
 
@@ -142,8 +136,7 @@ def _double(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Double:
 def load(name: str) -> int:
     """Have somebody else load a node into /theirs."""
     with Probe() as probe:
-        request = LoadNode.Request(package_name="any", plugin_name="any::Node", node_name=name)
-        answer = probe.call(LoadNode, "/theirs/_container/load_node", request, 60)
+        answer = probe.load("Node", package="any", container="/theirs", node_name=name)
     assert answer.success
     return int(answer.unique_id)
 

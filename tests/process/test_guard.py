@@ -398,6 +398,16 @@ async def test_nothing_is_inherited_before_linux_5_11(
     await asyncio.to_thread(session.close)
 
 
+@pytest.mark.parametrize(
+    "words",
+    ["", "1", "x -- true", "0 -- true", "1 true true", "--session x", "--session 3 --"],
+)
+def test_wrong_usage_is_reported(guard: Path, words: str) -> None:
+    done = subprocess.run([guard, *words.split()], check=False, capture_output=True, text=True)
+    assert done.returncode == 125
+    assert "usage" in done.stderr
+
+
 @pytest.mark.anyio
 async def test_what_does_not_fit_is_refused(session: SessionGuard) -> None:
     with pytest.raises(SpawnError, match="null byte"):

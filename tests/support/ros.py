@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import Any, Self
 
 import rclpy
+from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -68,6 +69,25 @@ class Probe:
             return future.result()
         finally:
             self.node.destroy_client(client)
+
+    def load(
+        self, plugin: str, *, package: str = "play_launch_demo", container: str = "/container",
+        **fields: Any,
+    ) -> Any:  # fmt: skip
+        """Load a component by the container's service; the response."""
+        plugin = plugin if "::" in plugin else f"{package}::{plugin}"
+        request = LoadNode.Request(package_name=package, plugin_name=plugin, **fields)
+        return self.call(LoadNode, f"{container}/_container/load_node", request)
+
+    def unload(self, unique_id: int, container: str = "/container") -> Any:
+        """Unload a node by the container's service; the response."""
+        request = UnloadNode.Request(unique_id=unique_id)
+        return self.call(UnloadNode, f"{container}/_container/unload_node", request)
+
+    def nodes(self, container: str = "/container") -> list[tuple[str, int]]:
+        """Full names and ids of the nodes of a container, by its service."""
+        answer = self.call(ListNodes, f"{container}/_container/list_nodes", ListNodes.Request())
+        return list(zip(answer.full_node_names, answer.unique_ids, strict=True))
 
     def start_call(self, service: Any, name: str, request: Any, timeout: float = 60.0) -> Any:
         """Send a request and return its future; the client lives as long as the probe."""
