@@ -8,6 +8,8 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from play_launch.config.model import ReplayConfig
 from play_launch.deploy.notification import ServiceManager
 from play_launch.deploy.report import ServiceReport, status_text
@@ -125,19 +127,6 @@ def test_who_cannot_be_operated_yet_is_not_ready(tmp_path: Path) -> None:
         run(main())
 
 
-def test_what_is_over_before_it_can_be_operated_was_ready(tmp_path: Path) -> None:
-    launcher = FakeLauncher(on_process=lambda each: each.end(Exit()))
-
-    async def main() -> None:
-        never: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        async with reported(system(process("p")), launcher, listening, never) as one:
-            await one.until_stopped()
-        assert phases(listening.hear_all()) == ["READY=1", "STOPPING=1"]
-
-    with closing(Listening.in_folder(tmp_path)) as listening:
-        run(main())
-
-
 SYSTEM = scenes.view(
     scenes.container("/a"),
     scenes.node("/a", 0, NodeState.LOADED),
@@ -173,11 +162,14 @@ def test_what_is_stopped_while_it_starts_was_never_ready(tmp_path: Path) -> None
         run(main())
 
 
-def test_what_is_over_at_once_was_ready(tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_operable", [True, False])
+def test_what_is_over_at_once_was_ready(tmp_path: Path, is_operable: bool) -> None:
     launcher = FakeLauncher(on_process=lambda each: each.end(Exit()))
 
     async def main() -> None:
-        async with reported(system(process("p")), launcher, listening) as one:
+        never: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        operable = None if is_operable else never
+        async with reported(system(process("p")), launcher, listening, operable) as one:
             await one.until_stopped()
         assert phases(listening.hear_all()) == ["READY=1", "STOPPING=1"]
 

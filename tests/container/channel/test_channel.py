@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
 from play_launch.container import channel as channel_module
 from play_launch.container.channel import (
     ChannelClosedError,
@@ -27,6 +28,8 @@ from play_launch.container.messages import (
     Hello,
     Incoming,
     Load,
+    NodeStatus,
+    NodeStatusState,
     Outgoing,
     Query,
     Rejected,
@@ -43,7 +46,32 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.anyio
 OURS = Hello(version="1.0")
 THEIRS = Hello(version="1.0", pid=7, full_node_name="/container", backends=("native",))
-LOAD = Load(attempt=1, package_name="demo", plugin_name="demo::Talker")
+LOAD = Load(
+    attempt=1,
+    package_name="demo",
+    plugin_name="demo::Talker",
+    node_name="talker",
+    node_namespace="/a",
+    log_level=20,
+    remap_rules=("chatter:=/b",),
+    parameters=(ParameterConfig("rate", ParameterValue(ParameterType.DOUBLE, 5.0)),),
+    extra_arguments=(ParameterConfig("by_pointer", ParameterValue(ParameterType.BOOL, True)),),
+    resources=("nice 5",),
+    lock_memory=True,
+)
+
+NODE = NodeStatus(
+    unique_id=1,
+    attempt=2,
+    state=NodeStatusState.LOADED,
+    full_node_name="/talker",
+    pid=3,
+    start_time=4,
+    elapsed_ns=5,
+    cpu_time_ns=6,
+    silence_ns=-1,
+    note="waits",
+)
 
 
 def event(number: int) -> ComponentEvent:
@@ -128,7 +156,7 @@ async def test_everything_is_understood_on_both_sides(
     answers: list[Incoming] = [
         Accepted(attempt=1, unique_id=1),
         Rejected(attempt=2, unique_id=0, reason="no"),
-        Status(query_id=5),
+        Status(query_id=5, nodes=(NODE,), dropped_frames=1, crashes=2, dead_locks=("a lock",)),
         event(1),
     ]
     await container.say(*answers)

@@ -2,56 +2,18 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
 from play_launch.container.codec import (
     EncodeError,
     Frame,
-    FrameDecoder,
     FrameKind,
     MessageError,
     decode_message,
     encode_message,
 )
-from play_launch.container.messages import Cancel, Incoming, Load, Outgoing, Query
-from play_launch.supervisor.events import ComponentEvent
-from tests.container.channel.peer import frame_of, outgoing
-from tests.container.channel.values import INCOMING, OUTGOING
-
-
-def one_frame(data: bytes) -> Frame:
-    (frame,) = FrameDecoder().feed(data)
-    return frame
-
-
-@given(INCOMING)
-def test_what_a_container_sends_is_read_as_it_was(message: Incoming) -> None:
-    frame = one_frame(frame_of(message))
-    read = decode_message(frame, container="/container")
-    assert read == message
-    if isinstance(read, ComponentEvent):
-        assert read.received == frame.payload
-
-
-@given(OUTGOING)
-def test_what_a_container_is_sent_is_what_was_meant(message: Outgoing) -> None:
-    assert outgoing(one_frame(encode_message(message))) == message
-
-
-@given(INCOMING, st.data())
-def test_a_damaged_payload_is_an_error_of_ours(message: Incoming, data: st.DataObject) -> None:
-    frame = one_frame(frame_of(message))
-    kind = FrameKind(frame.kind)
-    kept = data.draw(st.integers(0, len(frame.payload) - 1))
-    damaged = frame._replace(payload=frame.payload[:kept])
-    # Where the first bytes happen to be a whole message, there is nothing to notice.
-    with pytest.raises(MessageError, match=kind.name) if kept < 4 else suppress(MessageError):
-        decode_message(damaged)
+from play_launch.container.messages import Cancel, Load, Outgoing, Query
 
 
 def test_an_unknown_kind_is_nothing() -> None:

@@ -48,22 +48,9 @@ def node(state: NodeState, pid: int, name: str = "/talker") -> NodeStateChanged:
 CONTAINER = Target(SubjectKind.CONTAINER, "/box", 7, 1007)
 
 
-def test_isolated_nodes_share_the_memory_of_their_container() -> None:
-    view = view_of(box("shared_memory"), started("/box", 7), node(NodeState.LOADED, 8))
-    talker = Target(SubjectKind.NODE, "/box:/talker", 8, 1008, memory_of=7)
-    assert targets(view) == [CONTAINER, talker]
-
-
 def test_nodes_with_memory_of_their_own_are_measured_by_themselves() -> None:
     view = view_of(box("process"), started("/box", 7), node(NodeState.LOADING, 8))
     assert targets(view) == [CONTAINER, Target(SubjectKind.NODE, "/box:/talker", 8, 1008)]
-
-
-def test_nodes_without_a_process_of_their_own_are_part_of_the_container() -> None:
-    view = view_of(
-        box(""), started("/box", 7), node(NodeState.LOADED, 7), node(NodeState.LOADED, 0)
-    )
-    assert targets(view) == [CONTAINER]
 
 
 def test_nodes_of_a_container_that_stops_are_not_taken_for_processes_of_their_own() -> None:
@@ -77,13 +64,6 @@ def test_nodes_of_a_container_that_stops_are_not_taken_for_processes_of_their_ow
 def test_a_crashed_node_has_no_process_though_its_pid_is_known() -> None:
     view = view_of(box("shared_memory"), started("/box", 7), node(NodeState.CRASHED, 8))
     assert targets(view) == [CONTAINER]
-
-
-def test_ordinary_processes_are_measured_while_they_run() -> None:
-    view = view_of(started("/tool", 9))
-    assert targets(view) == [Target(SubjectKind.PROCESS, "/tool", 9, 1009)]
-    ended = ProcessEvent(stamp_ns=2, kind=ProcessEventKind.EXITED, name="/tool", pid=9)
-    assert targets(view.after(ended)) == []
 
 
 @settings(max_examples=200)
