@@ -21,6 +21,8 @@ from play_launch_msgs.msg import (
 )
 from rclpy.serialization import serialize_message
 
+from tests.support.isolated import start_time
+
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
 
@@ -28,10 +30,6 @@ LOADED, UNLOADED = ComponentEvent.LOADED, ComponentEvent.UNLOADED
 LOAD_FAILED, LOADING = ComponentEvent.LOAD_FAILED, ComponentEvent.LOADING
 FOREVER = {"seconds": 3600.0}
 LOAD = 2
-
-
-def start_time(pid: int) -> int:
-    return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[19])
 
 
 def test_the_hello_says_who_is_there(spawn: StartContainer, other_domain: int) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload, NodeStatus
+from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload
 from std_msgs.msg import String
 
 from play_launch.container.environment import find_allocator
@@ -125,27 +125,6 @@ def test_messages_go_by_pointer_between_processes(spawn: StartContainer, mode: s
         last = numbers(heard[-1])
         assert last["by_pointer"] == last["images"] > first["images"]
         assert not is_gone(sink.pid)
-
-
-@both_modes
-def test_a_slow_constructor_blocks_nobody(spawn: StartContainer, mode: str) -> None:
-    container = start(spawn, mode)
-    slow = container.load("SlowConstructor", parameters=FOREVER, node_name="slow")
-    loading = container.event(LOADING, attempt=slow)
-    talker = container.loaded("Talker")
-    unload(container, talker.unique_id)
-    status = container.status_when(
-        lambda s: any(
-            each.unique_id == loading.unique_id and each.pid != container.process.pid
-            for each in s.nodes
-        ),
-        "a process of its own",
-    )
-    (node,) = status.nodes
-    assert node.state == NodeStatus.CONSTRUCTING
-    assert only_these_remain(container, node.pid)
-    assert container.shut_down() == 0
-    assert is_gone(node.pid)
 
 
 @both_modes

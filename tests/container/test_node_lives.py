@@ -181,21 +181,3 @@ def test_a_signal_ends_nodes_at_any_instant(spawn: StartContainer, mode: str) ->
         assert len(others) == 60
         assert all(life in LIVES for life in others)
         assert only_these_remain(container, keeper.pid)
-
-
-@both_modes
-def test_who_must_leave_at_once_and_does_not_is_ended(spawn: StartContainer, mode: str) -> None:
-    container = start(spawn, mode, failpoints="container.before_unload=hang")
-    with survives(container):
-        attempt = container.load("SlowConstructor", parameters={"seconds": 0.3})
-        loading = container.event(LOADING, attempt=attempt)
-        container.status_when(lambda s: s.nodes[0].pid != container.process.pid, "a process")
-        container.send(ControlCancel(unique_id=loading.unique_id))
-        event = end_of(container, attempt)
-        assert (event.event_type, event.signal) == (UNLOADED, signal.SIGTERM)
-        assert event.error_message.startswith("cancelled; ")
-        assert "it did not leave in order" in event.error_message
-        assert not any(
-            getattr(m, "event_type", None) == LOADED and m.attempt == attempt
-            for m in container.seen
-        )

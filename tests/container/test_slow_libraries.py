@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload, NodeStatus
 
+from tests.support.isolated import ALL_MODES, MODES, start
+
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
 
@@ -16,17 +18,6 @@ LOADED, UNLOADED, CRASHED = (
     ComponentEvent.UNLOADED,
     ComponentEvent.CRASHED,
 )
-MODES = {
-    "standard": (),
-    "mt": ("--use_multi_threaded_executor",),
-    "isolated": ("--isolated", "--isolation", "shared_memory"),
-    "isolated_mt": (
-        "--isolated",
-        "--isolation",
-        "shared_memory",
-        "--use_multi_threaded_executor",
-    ),
-}
 FOR_EVER = {"PLAY_LAUNCH_DEMO_OPENING": "3600"}
 
 
@@ -36,10 +27,10 @@ def load_slow(container: Container, **fields: object) -> int:
     )
 
 
-@pytest.fixture(params=MODES)
+@pytest.fixture(params=ALL_MODES)
 def opening(request: pytest.FixtureRequest, spawn: StartContainer) -> Container:
     """Start a container with a talker that will never be done with opening another library."""
-    container = spawn(*MODES[request.param], environment=FOR_EVER)
+    container = start(spawn, request.param, environment=FOR_EVER)
     container.loaded("Talker", node_name="first")
     load_slow(container)
     (waiting,) = (n for n in until_it_waits(container) if n.note)
@@ -76,7 +67,7 @@ def test_a_library_behind_it_waits_and_says_so(opening: Container) -> None:
 
 
 def test_a_refused_library_is_reported_once_it_is_open(spawn: StartContainer) -> None:
-    container = spawn(*MODES["isolated"], environment={"PLAY_LAUNCH_DEMO_OPENING": "0.5"})
+    container = start(spawn, environment={"PLAY_LAUNCH_DEMO_OPENING": "0.5"})
     load_slow(container)
     nodes = until_it_waits(container)
     container.send(ControlCancel(unique_id=nodes[0].unique_id))
@@ -93,7 +84,7 @@ def test_a_container_that_opens_a_library_stops(opening: Container) -> None:
 
 
 def test_a_crash_is_reported_while_a_library_is_opened(spawn: StartContainer) -> None:
-    container = spawn(*MODES["isolated"], environment=FOR_EVER)
+    container = start(spawn, environment=FOR_EVER)
     container.loaded("Talker", node_name="first")
     load_slow(container)
     until_it_waits(container)
@@ -103,41 +94,34 @@ def test_a_crash_is_reported_while_a_library_is_opened(spawn: StartContainer) ->
     assert any("play_launch_demo::" in line for line in crashed.backtrace), crashed.backtrace
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ALL_MODES)
+@pytest.mark.parametrize(
+    ("way", "number", "end"),
+    [
+        ("segv", signal.SIGSEGV, "SIGSEGV"),
+        ("exit", signal.SIGABRT, "an initialiser of it called exit()"),
+    ],
+)
 def test_the_log_names_the_library_that_takes_the_container_down(
-    spawn: StartContainer, mode: str
+    spawn: StartContainer, mode: str, way: str, number: int, end: str
 ) -> None:
-    container = spawn(*MODES[mode])
+    container = start(spawn, mode, environment={"PLAY_LAUNCH_DEMO_CRASH": way})
     container.load(
         "play_launch_demo::CrashingLibrary",
         package="play_launch_demo_crashing",
         node_name="poisonous",
     )
-    assert container.wait() == -signal.SIGSEGV
+    assert container.wait() == -number
     (line,) = (x for x in container.log.read_text().splitlines() if "the container ends" in x)
     assert "libplay_launch_demo_crashing.so for node /poisonous" in line
-    assert line.endswith("SIGSEGV")
+    assert line.endswith(end)
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_the_log_names_the_library_that_exits(spawn: StartContainer, mode: str) -> None:
-    container = spawn(*MODES[mode], environment={"PLAY_LAUNCH_DEMO_CRASH": "exit"})
-    container.load(
-        "play_launch_demo::CrashingLibrary",
-        package="play_launch_demo_crashing",
-        node_name="poisonous",
-    )
-    assert container.wait() == -signal.SIGABRT
-    (line,) = (x for x in container.log.read_text().splitlines() if "the container ends" in x)
-    assert "libplay_launch_demo_crashing.so for node /poisonous" in line
-    assert line.endswith("an initialiser of it called exit()")
-
-
-@pytest.mark.parametrize("mode", ["isolated", "isolated_mt"])
 def test_threads_of_a_library_outlive_the_node_that_needed_it_first(
     spawn: StartContainer, mode: str
 ) -> None:
-    container = spawn(*MODES[mode])
+    container = start(spawn, mode)
     pool = {"package": "play_launch_demo_pool", "plugin": "play_launch_demo::PoolLibrary"}
     container.load(**pool, node_name="dies", parameters={"crash": True})
     assert container.event(CRASHED).full_node_name == "/dies"

@@ -130,17 +130,23 @@ def check(lines: list[str], *words: str) -> None:
         assert word in text, text
 
 
-def test_a_null_pointer_in_a_callback(tmp_path: Path) -> None:
-    bag = recorded_until(tmp_path, node("victim", "Crasher", "how: segv, after: 0.1"), *CRASHED)
+@pytest.fixture(scope="module")
+def crashed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session with a crash."""
+    folder = tmp_path_factory.mktemp("crashed")
+    return recorded_until(folder, node("victim", "Crasher", "how: segv, after: 0.1"), *CRASHED)
+
+
+def test_a_null_pointer_in_a_callback(crashed: Path) -> None:
     check(
-        story(bag),
+        story(crashed),
         "/victim in /box crashed",
         "a null pointer was used",
         source("*reinterpret_cast<volatile int*>"),
         "libplay_launch_demo.so",
         "robot.yaml:",
     )
-    (finding,) = json.loads(explain(bag, "--json").stdout)["findings"]
+    (finding,) = json.loads(explain(crashed, "--json").stdout)["findings"]
     texts = [frame["function"] for frame in finding["frames"]]
     die = next(n for n, text in enumerate(texts) if "::die(" in text)
     # The call in die(), not the line after it.
@@ -309,13 +315,6 @@ def test_a_session_without_an_incident(tmp_path: Path) -> None:
     bag = recorded_until(tmp_path, node("talker", "Talker"), "/talker", "loaded")
     assert story(bag, 0) == [f"Nothing was wrong. {explain(bag).stdout.split('. ', 1)[1].strip()}"]
     assert json.loads(explain(bag, "--json").stdout)["findings"] == []
-
-
-@pytest.fixture(scope="module")
-def crashed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A session with a crash."""
-    folder = tmp_path_factory.mktemp("crashed")
-    return recorded_until(folder, node("victim", "Crasher", "how: segv, after: 0.1"), *CRASHED)
 
 
 def test_the_libraries_of_the_backtrace_are_recorded(crashed: Path) -> None:

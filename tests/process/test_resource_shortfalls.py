@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from play_launch.config.kinds import parse_cpus
 from play_launch.config.resources import (
     IoClass,
     IoPriority,
@@ -19,7 +18,6 @@ from play_launch.config.resources import (
     Resources,
     Scheduler,
     SchedulerPolicy,
-    cpu_text,
     nice_limit,
 )
 from play_launch.config.sections import RlimitsSection
@@ -107,12 +105,6 @@ def test_settings_are_words_and_numbers_and_limits_come_first(wanted: Resources)
     assert kinds == sorted(kinds, reverse=True)
     asks = replace(wanted, lock_memory=False)
     assert bool(settings) == bool(asks)
-
-
-@given(cpu_sets.filter(bool))
-def test_cpus_are_read_as_they_are_written(cpus: tuple[int, ...]) -> None:
-    assert parse_cpus(cpu_text(cpus)) == cpus
-    assert parse_cpus(list(cpus)) == cpus
 
 
 @given(io_priorities)

@@ -34,13 +34,6 @@ def process(**changes: object) -> ProcessConfig:
     return ProcessConfig(**values)  # type: ignore[arg-type]
 
 
-def test_a_plain_container_gets_name_and_namespace() -> None:
-    assert container_argv(container(), BINARY) == (
-        *("/opt/lib/component_container", "--ros-args"),
-        *("-r", "__node:=c", "-r", "__ns:=/"),
-    )
-
-
 def test_a_container_with_everything() -> None:
     config = container(
         namespace="/sensing",
@@ -49,7 +42,10 @@ def test_a_container_with_everything() -> None:
         log_level="debug",
         ros_arguments=("-p", "use_sim_time:=true"),
         arguments=("--failpoints", "container.drop_event=loaded"),
+        core_dumps=True,
+        memory_domains=MemoryDomains.REQUIRED,
     )
+    # The last two are for isolated containers.
     assert container_argv(config, BINARY, stop_timeout=1.5) == (
         "/opt/lib/component_container",
         *("--use_multi_threaded_executor", "--thread_num", "4", "--stop_timeout", "1.5"),
@@ -87,22 +83,10 @@ def test_an_isolated_container(
 ) -> None:
     argv = container_argv(container(container_type=kind, isolation=isolation), BINARY)
     assert argv[1 : argv.index("--ros-args")] == flags
-
-
-def test_cores_are_dumped_where_that_is_asked_for() -> None:
-    asked = container(container_type=ContainerType.ISOLATED, core_dumps=True)
-    assert "--core_dumps" in container_argv(asked, BINARY)
-    assert "--core_dumps" not in container_argv(container(core_dumps=True), BINARY)
-
-
-def test_memory_domains_are_for_isolated_containers() -> None:
-    asked = container(container_type=ContainerType.ISOLATED, memory_domains=MemoryDomains.AUTO)
-    argv = container_argv(asked, BINARY)
-    assert argv[argv.index("--memory_domains") + 1] == "auto"
-    isolated = container(container_type=ContainerType.ISOLATED)
-    assert "--memory_domains" not in container_argv(isolated, BINARY)
-    plain = container(memory_domains=MemoryDomains.REQUIRED)
-    assert "--memory_domains" not in container_argv(plain, BINARY)
+    more = {"core_dumps": True, "memory_domains": MemoryDomains.AUTO}
+    asked = container(container_type=kind, isolation=isolation, **more)
+    added = {"--core_dumps", "--memory_domains", "auto"} if flags else set()
+    assert set(container_argv(asked, BINARY)) - set(argv) == added
 
 
 def test_a_stock_container_gets_its_arguments_before_those_for_ros() -> None:
