@@ -60,19 +60,13 @@ def test_without_proc_nothing_is_started(tmp_path: Path) -> None:
     assert "/proc is not mounted" in result.stderr
     assert "nothing was started; fix: mount -t proc" in result.stderr
     assert not (tmp_path / "logs").exists()
-
-
-def test_without_proc_the_doctor_says_so() -> None:
     result = run(mounted(NO_PROC, COMMAND, "doctor", "--json"))
     assert result.returncode == 1
     assert result.stderr == ""
     assert finding(result, "/proc")["level"] == "fail"
 
 
-SIZES = [pytest.param(size << 20, id=f"{size} MiB") for size in (100, 1023)]
-
-
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", [100 << 20, 1023 << 20], ids=["100 MiB", "1023 MiB"])
 def test_with_a_small_address_space_nothing_is_started(tmp_path: Path, size: int) -> None:
     result = run([*limited(size), *replay(configuration(tmp_path))])
     assert result.returncode == 2
@@ -80,10 +74,6 @@ def test_with_a_small_address_space_nothing_is_started(tmp_path: Path, size: int
     assert f"limited to {size >> 20:,} MiB (ulimit -v)" in result.stderr
     assert "nothing was started; fix: ulimit -v unlimited" in result.stderr
     assert not (tmp_path / "logs").exists()
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_with_a_small_address_space_the_doctor_says_so(size: int) -> None:
     result = run([*limited(size), COMMAND, "doctor", "--json"])
     assert result.returncode == 1
     assert result.stderr == ""

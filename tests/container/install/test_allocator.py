@@ -71,14 +71,6 @@ def test_a_library_in_a_folder_with_a_space_is_loaded(tmp_path: Path) -> None:
     assert not loaded.stderr
 
 
-@pytest.mark.skipif(
-    shutil.which("ldconfig", path="/usr/sbin:/sbin") is None, reason="there is no ldconfig"
-)
-def test_this_machine_is_looked_at_without_an_error() -> None:
-    answer = find_allocator({})
-    assert (answer.library is None) == bool(answer.problem)
-
-
 @pytest.mark.parametrize(
     ("before", "after"),
     [

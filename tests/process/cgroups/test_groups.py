@@ -19,7 +19,6 @@ from play_launch.process.cgroups.group import SUPERVISOR, Group, GroupError
 from play_launch.process.cgroups.session import SessionGroups
 from play_launch.process.identity import ProcessIdentity, read_stat
 from tests.support.control_groups import control_group, group_of
-from tests.support.waiting import until
 
 NOBODY = 65534
 TRIALS = 30
@@ -52,28 +51,6 @@ def born(entry: str, *command: str) -> subprocess.Popen[str]:
         text=True,
         start_new_session=True,
     )
-
-
-def test_a_session_from_begin_to_end(base: Path) -> None:
-    groups = begun(base)
-    made = groups.member("/arm/driver", NO_LIMITS)
-    assert made is not None
-    group, entry = made
-    with born(entry, "sh", "-c", "setsid sleep 600 & echo; wait") as process:
-        assert process.stdout is not None
-        process.stdout.readline()
-        assert group_of(process.pid).endswith("/arm:driver")
-        assert group.holds(process.pid)
-        assert not group.holds(os.getpid())
-        assert process.pid in group.processes()
-        assert len(group.processes()) == 2
-        assert not group.remove()
-        assert group.kill()
-        until(lambda: not group.processes(), "the end of both")
-        assert process.wait() == -signal.SIGKILL
-    assert group.remove()
-    groups.end()
-    assert not below(base)
 
 
 def test_a_process_outside_of_its_group_is_reported_once(
