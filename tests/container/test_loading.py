@@ -108,7 +108,7 @@ def test_a_missing_library_and_a_damaged_index(
     index.mkdir(parents=True)
     (index / "gone").write_text("gone::Node;lib/libgone.so\n")
     (index / "damaged").write_text("damaged::Node\n")
-    paths = [str(tmp_path), os.environ.get("AMENT_PREFIX_PATH", ""), sys.prefix]
+    paths = filter(None, [str(tmp_path), os.environ.get("AMENT_PREFIX_PATH"), sys.prefix])
     container = start(spawn, environment={"AMENT_PREFIX_PATH": os.pathsep.join(paths)})
     with survives(container):
         container.load("gone::Node", package="gone")

@@ -1,4 +1,4 @@
-"""Nodes that flood, are deaf and get away from their parent, with a terminal and without one."""
+"""Nodes that flood, are deaf and get away from their parent, on a terminal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import psutil
-import pytest
 from rosbags.highlevel import AnyReader
 
 from tests.process.test_guard import ESCAPES, escaping
@@ -78,18 +77,18 @@ def configuration(folder: Path) -> tuple[Path, list[Path]]:
 
 
 class Shown:
-    """A command, and what it shows on a terminal of its own or writes into a pipe."""
+    """A command, and what it shows on a terminal of its own."""
 
-    def __init__(self, command: list[str], *, on_a_terminal: bool) -> None:
-        self._ours, theirs = pty.openpty() if on_a_terminal else os.pipe()
-        self._interrupt = termios.tcgetattr(theirs)[6][termios.VINTR] if on_a_terminal else b""
+    def __init__(self, command: list[str]) -> None:
+        self._ours, theirs = pty.openpty()
+        self._interrupt = termios.tcgetattr(theirs)[6][termios.VINTR]
         self.process = subprocess.Popen(
             command,
-            stdin=theirs if on_a_terminal else subprocess.DEVNULL,
+            stdin=theirs,
             stdout=theirs,
             stderr=theirs,
             start_new_session=True,
-            preexec_fn=_control_the_terminal if on_a_terminal else None,  # noqa: PLW1509
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # noqa: PLW1509
         )
         os.close(theirs)
         self._said = bytearray()
@@ -106,11 +105,8 @@ class Shown:
         os.close(self._ours)
 
     def interrupt(self) -> None:
-        """Ask it to end; on a terminal as a person does, so that the terminal makes a signal."""
-        if self._interrupt:
-            os.write(self._ours, self._interrupt)
-        else:
-            self.process.send_signal(signal.SIGINT)
+        """Ask it to end as a person does, so that the terminal makes a signal."""
+        os.write(self._ours, self._interrupt)
 
     def end(self) -> tuple[int, str]:
         """Wait for its end; give exit code and output."""
@@ -122,10 +118,6 @@ class Shown:
         with contextlib.suppress(OSError):  # EIO: nobody has the terminal any more
             while data := os.read(self._ours, 65536):
                 self._said += data
-
-
-def _control_the_terminal() -> None:
-    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
 
 def recorded_lines(folder: Path) -> list[int]:
@@ -140,12 +132,11 @@ def recorded_lines(folder: Path) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("on_a_terminal", [True, False], ids=["terminal", "pipe"])
-def test_none_gets_away_and_no_line_is_lost_uncounted(on_a_terminal: bool, tmp_path: Path) -> None:
+def test_none_gets_away_and_no_line_is_lost_uncounted(tmp_path: Path) -> None:
     config, marks = configuration(tmp_path)
     logs = tmp_path / "logs"
     command = [str(COMMAND), "replay", str(config), "--log-dir", str(logs)]
-    with Shown(command, on_a_terminal=on_a_terminal) as shown:
+    with Shown(command) as shown:
         until(lambda: all(mark.exists() for mark in marks), "all of them")
         everything = psutil.Process(shown.process.pid).children(recursive=True)
         # Of jobs of a shell, a session of its own, and a daemon.

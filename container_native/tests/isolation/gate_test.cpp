@@ -50,29 +50,20 @@ void test_good_machine() {
   CHECK(asked.mechanism == Mechanism::process && asked.notes.empty());
 }
 
-void test_crash_that_spreads() {
-  Facts facts = good_machine();
-  facts.kernel_release = "5.15.0-generic";
-  facts.probe.survives_crash = false;
-  check_falls_back(facts, "with Linux 5.15.0-generic a crash ends every process");
-}
-
-void test_no_clone() {
-  Facts facts = good_machine();
-  facts.probe = {false, EPERM, false, true, 0};
-  check_falls_back(facts, "Operation not permitted");
-}
-
-void test_no_waitid() {
-  Facts facts = good_machine();
-  facts.probe = {false, 0, false, true, 0};
-  check_falls_back(facts, "cannot be waited for");
-}
-
-void test_other_c_library() {
-  Facts facts = good_machine();
-  facts.obstacle = "the C library does not say it";
-  check_falls_back(facts, "the C library does not say it");
+void test_machines_that_cannot_share_memory() {
+  Facts spreads = good_machine();
+  spreads.kernel_release = "5.15.0-generic";
+  spreads.probe.survives_crash = false;
+  check_falls_back(spreads, "with Linux 5.15.0-generic a crash ends every process");
+  Facts no_clone = good_machine();
+  no_clone.probe = {false, EPERM, false, true, 0};
+  check_falls_back(no_clone, "Operation not permitted");
+  Facts no_waitid = good_machine();
+  no_waitid.probe = {false, 0, false, true, 0};
+  check_falls_back(no_waitid, "cannot be waited for");
+  Facts other_library = good_machine();
+  other_library.obstacle = "the C library does not say it";
+  check_falls_back(other_library, "the C library does not say it");
 }
 
 void test_no_descriptors_of_processes() {
@@ -145,10 +136,7 @@ void test_this_machine() {
 int main() {
   test_choices();
   test_good_machine();
-  test_crash_that_spreads();
-  test_no_clone();
-  test_no_waitid();
-  test_other_c_library();
+  test_machines_that_cannot_share_memory();
   test_no_descriptors_of_processes();
   test_waits_that_cannot_be_read();
   test_other_allocator();

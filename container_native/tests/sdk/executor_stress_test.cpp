@@ -74,20 +74,15 @@ void churn(Executor& executor, const std::shared_ptr<Context>& context, int roun
   for (auto& thread : threads) thread.join();
 }
 
-void run(const char* what, Executor& executor, int rounds) {
+void run(Executor& executor, int rounds) {
   const auto context = make_context();
-  const auto started = std::chrono::steady_clock::now();
-  {
-    // One node stays for the whole time.
-    auto resident = std::make_shared<Busy>("resident", options_in(context));
-    executor.add_node(resident);
-    const Spinner spinner(executor);
-    churn(executor, context, rounds);
-    const int calls = resident->calls.get();
-    CHECK(resident->calls.reaches_at_least(calls + 5));
-  }
-  std::printf("%s: %d nodes in %.1f s\n", what, kThreads * rounds,
-              std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count());
+  // One node stays for the whole time.
+  auto resident = std::make_shared<Busy>("resident", options_in(context));
+  executor.add_node(resident);
+  const Spinner spinner(executor);
+  churn(executor, context, rounds);
+  const int calls = resident->calls.get();
+  CHECK(resident->calls.reaches_at_least(calls + 5));
 }
 
 void shutdown_amid_the_traffic(int rounds) {
@@ -119,11 +114,11 @@ int main(int argc, char** argv) {
   const int rounds = argc > 1 ? std::atoi(argv[1]) : 6;
   {
     SingleThreadedExecutor executor;
-    run("single-threaded", executor, rounds);
+    run(executor, rounds);
   }
   {
     MultiThreadedExecutor executor(3);
-    run("multi-threaded", executor, rounds);
+    run(executor, rounds);
   }
   shutdown_amid_the_traffic(rounds);
   return 0;

@@ -1,7 +1,4 @@
 // Callback groups, cancelling, removing, and exceptions.
-#include <sys/wait.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <atomic>
 #include <csignal>
@@ -172,15 +169,6 @@ void cancel_in_a_signal_handler(const std::shared_ptr<Context>& context) {
   std::signal(SIGUSR1, SIG_DFL);
 }
 
-void shutdown_of_the_context_ends_spinning() {
-  const auto context = make_context();
-  MultiThreadedExecutor executor(2);
-  executor.add_node(std::make_shared<Node>("shut", options_in(context)));
-  std::thread spinner([&] { executor.spin(); });
-  context->shutdown();
-  spinner.join();
-}
-
 void removing(const std::shared_ptr<Context>& context) {
   auto node = std::make_shared<Node>("remove", options_in(context));
   auto other = std::make_shared<Node>("other", options_in(context));
@@ -247,25 +235,6 @@ void exceptions_leave_the_single_threaded_executor(const std::shared_ptr<Context
   executor.remove_node(node);  // does not wait for the callback that threw
 }
 
-void exceptions_end_the_process_of_a_multi_threaded_executor() {
-  // Forks before this process has threads that matter; the child makes everything anew.
-  const pid_t child = fork();
-  CHECK(child >= 0);
-  if (child == 0) {
-    const auto context = make_context();
-    auto node = std::make_shared<Node>("thrower", options_in(context));
-    MultiThreadedExecutor executor(2);
-    executor.add_node(node);
-    const auto timer =
-        node->create_timer(1ms, []() { throw std::runtime_error("thrown on purpose"); });
-    executor.spin();
-    std::_Exit(0);
-  }
-  int status = 0;
-  CHECK(waitpid(child, &status, 0) == child);
-  CHECK(WIFSIGNALED(status) && WTERMSIG(status) == SIGABRT);
-}
-
 void an_idle_executor_sleeps(const std::shared_ptr<Context>& context) {
   auto node = std::make_shared<Node>("idle", options_in(context));
   MultiThreadedExecutor executor(4);
@@ -286,7 +255,6 @@ void an_idle_executor_sleeps(const std::shared_ptr<Context>& context) {
 }  // namespace
 
 int main() {
-  exceptions_end_the_process_of_a_multi_threaded_executor();
   const auto context = make_context();
   reentrant_callbacks_run_in_parallel(context);
   a_reentrant_timer_overlaps_itself(context);
@@ -294,7 +262,6 @@ int main() {
   a_blocked_group_blocks_no_other(context);
   cancel_sticks(context);
   cancel_in_a_signal_handler(context);
-  shutdown_of_the_context_ends_spinning();
   removing(context);
   exceptions_leave_the_single_threaded_executor(context);
   an_idle_executor_sleeps(context);
