@@ -100,7 +100,7 @@ namespace {
 
 using namespace isolation_test;
 
-constexpr int kRounds = 20;
+constexpr int kRounds = 10;
 
 volatile std::uintptr_t bad_address = 8;
 void crash_by_bad_address() { *reinterpret_cast<volatile int*>(bad_address) = 1; }

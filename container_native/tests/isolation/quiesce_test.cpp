@@ -108,15 +108,15 @@ struct Case {
 };
 
 constexpr std::array kCases{
-    Case{"computes", [] { stand_in::node_library().compute_for_ever(); }, 20},
+    Case{"computes", [] { stand_in::node_library().compute_for_ever(); }, 10},
     Case{"called back by the middleware",
-         [] { stand_in::spin_once(stand_in::node_library().compute_for_ever); }, 20},
-    Case{"waits", wait_in_user_code, 20},
-    Case{"sleeps", sleep_in_user_code, 20},
-    Case{"allocates", work_in_the_allocator, 30},
-    Case{"publishes", work_in_the_middleware, 30},
+         [] { stand_in::spin_once(stand_in::node_library().compute_for_ever); }, 10},
+    Case{"waits", wait_in_user_code, 10},
+    Case{"sleeps", sleep_in_user_code, 10},
+    Case{"allocates", work_in_the_allocator, 15},
+    Case{"publishes", work_in_the_middleware, 15},
     Case{"publishes by pointer", [] { stand_in::node_library().publish_by_pointer_for_ever(); },
-         30},
+         15},
 };
 
 void test_case(const Case& subject) {
@@ -222,7 +222,7 @@ void test_cancelled_threads_park() {
 }
 
 void test_several_crash_at_once() {
-  for (int round = 0; round < 50; ++round) {
+  for (int round = 0; round < 25; ++round) {
     Outcome outcome;
     run_patiently(outcome, [](Program&) {
       std::atomic<int> ready{0};
