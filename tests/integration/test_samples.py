@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import signal
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from tests.support.loopback_network import permitted
-from tests.support.replay import COMMAND, alive, replaying
+from tests.support.replay import alive, replaying, run
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = ROOT / "configs"
@@ -35,8 +34,7 @@ def up(event: dict[str, object], found: set[str]) -> set[str]:
 
 @pytest.mark.parametrize("sample", SAMPLES, ids=lambda sample: sample.stem)
 def test_samples_have_no_mistakes(sample: Path) -> None:
-    command = [str(COMMAND), "check", str(sample), "--json"]
-    checked = subprocess.run(command, check=False, capture_output=True, text=True)
+    checked = run("check", sample, "--json")
     assert checked.returncode == 0, checked.stdout
     assert sample.read_text(encoding="utf-8").count("#") >= 3, "a sample explains itself"
 
