@@ -35,39 +35,40 @@ def listed() -> dict[str, tuple[str, str]]:
     }
 
 
-def dynamic_symbols(file: str, *options: str) -> dict[str, str]:
-    """Kinds of a file's dynamic symbols, see nm(1), by their demangled names without arguments."""
+def run(*command: str, given: str = "") -> str:
+    return subprocess.run(command, check=True, capture_output=True, text=True, input=given).stdout
+
+
+def dynamic_symbols(file: str) -> dict[str, str]:
+    """Kinds of a file's dynamic symbols, see nm(1), by their mangled names with their versions."""
     assert shutil.which("nm"), "nm of the binutils, which the compiler needs as well"
-    output = subprocess.run(
-        ["nm", "--dynamic", "--demangle", *options, file],
-        check=True, capture_output=True, text=True,
-    ).stdout  # fmt: skip
-    found = re.findall(r"^[ 0-9a-f]* (\w) (.+)$", output, re.MULTILINE)
-    return {name.split("(")[0]: kind for kind, name in found}
+    found = re.findall(r"^[ 0-9a-f]* (\w) (\S+)$", run("nm", "--dynamic", file), re.MULTILINE)
+    return {name: kind for kind, name in found}
 
 
 def libraries(program: str) -> list[str]:
     """What the dynamic loader starts the program with."""
-    output = subprocess.run(["ldd", program], check=True, capture_output=True, text=True).stdout
-    return re.findall(r"(/\S+) \(0x", output)
+    return re.findall(r"(/\S+) \(0x", run("ldd", program))
 
 
 @cache
 def overridden() -> frozenset[str]:
     """Names of strong symbols that the program defines and libraries look for, or would have."""
     program = str(component_container())
-    own = dynamic_symbols(program, "--defined-only")
+    own = dynamic_symbols(program)
     functions = {name for name, kind in own.items() if kind == "T"}
     # One that a library has is a copy of its own, made by the linker.
     data = {name for name, kind in own.items() if kind in "BD" and "@" not in name}
     found: set[str] = set()
     elsewhere: set[str] = set()
     for library in libraries(program):
-        defined = {name.split("@")[0] for name in dynamic_symbols(library, "--defined-only")}
-        wanted = {name.split("@")[0] for name in dynamic_symbols(library, "--undefined-only")}
+        symbols = dynamic_symbols(library).items()
+        wanted = {name.split("@")[0] for name, kind in symbols if kind in "Uw"}
+        defined = {name.split("@")[0] for name, kind in symbols if kind not in "Uw"}
         found |= (functions & defined) | (data & wanted)
         elsewhere |= data & defined
-    return frozenset(found - elsewhere)
+    names = run("c++filt", given="\n".join(found - elsewhere))
+    return frozenset(name.split("(")[0] for name in names.splitlines())
 
 
 def test_every_symbol_of_another_library_is_on_the_page() -> None:
