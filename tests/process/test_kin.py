@@ -232,17 +232,6 @@ async def test_a_daemon_that_cannot_be_looked_into_holds_no_stop_up(
 
 
 @pytest.mark.anyio
-async def test_whose_a_process_is_stands_in_its_environment(session: SessionGuard) -> None:
-    child, left = await started(session, daemon(SLEEP), mark="1:/one")
-    assert await asyncio.to_thread(mark_of, left.pid) == "1:/one"
-    child.send_signal(signal.SIGKILL)
-    async with asyncio.timeout(60):
-        await child.gone()
-    assert not is_alive(left)
-    assert await asyncio.to_thread(mark_of, left.pid) == ""
-
-
-@pytest.mark.anyio
 async def test_whose_a_process_is_stands_there_while_another_program_is_executed(
     session: SessionGuard,
 ) -> None:
