@@ -6,12 +6,12 @@ interface. What the double really did stands in its journal.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
-from tests.support.replay import replaying
+from tests.support.replay import Replay, replaying
 from tests.support.scenes import written
 from tests.support.stock import EXECUTABLE, PACKAGE, Double, install
 
@@ -65,28 +65,20 @@ class Run:
     """What the run told, and what the containers did."""
 
     double: Double
-    events: list[dict[str, Any]] = field(default_factory=list)
-    exit_code: int = -1
-    alive_before_stop: list[str] = field(default_factory=list)
-
-    def of(self, event_type: str, /, **fields: Any) -> list[dict[str, Any]]:
-        return [
-            event
-            for event in self.events
-            if event["event"] == event_type and all(event[key] == fields[key] for key in fields)
-        ]
+    replay: Replay
+    alive_before_stop: list[str]
 
     def states(self, name: str) -> list[str]:
         """The states of a node, without repetitions."""
-        told = [event["state"] for event in self.of("node", node=name)]
+        told = [event["state"] for event in self.replay.told(event="node", node=name)]
         return [state for i, state in enumerate(told) if i == 0 or state != told[i - 1]]
 
     def loaded(self, name: str) -> dict[str, Any]:
         """The event by which it was loaded at last."""
-        return self.of("component", kind="loaded", full_node_name=name)[-1]
+        return self.replay.told(event="component", kind="loaded", full_node_name=name)[-1]
 
     def reasons(self, name: str) -> str:
-        return " | ".join(e["reason"] for e in self.of("node", node=name))
+        return " | ".join(e["reason"] for e in self.replay.told(event="node", node=name))
 
     def constructed(self, name: str) -> int:
         return [each[0] for each in self.double.journal("construct")].count(name)
@@ -98,34 +90,25 @@ class Run:
 @pytest.fixture(scope="module", name="run")
 def _run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("stock")
-    run = Run(install(folder))
+    double = install(folder)
     config = written(
         folder,
         composable_node_loading={"loading_timeout": "2 s"},
         stop={"sigint": "20 s", "sigterm": "1 s"},
         containers=CONTAINERS,
     )
-    states: dict[str, str] = {}
-    given_up: set[str] = set()
-
-    def settled(event: dict[str, Any]) -> bool:
-        if event["event"] == "node":
-            states[event["node"]] = event["state"]
-        if event["event"] == "container" and event["state"] == "gave up":
-            given_up.add(event["container"])
-        done = all(states.get(name) == state for name, state in SETTLED.items())
-        return done and given_up == {"/doomed_box"}
-
+    given_up = {"event": "container", "container": "/doomed_box", "state": "gave up"}
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in run.double.environment.items():
+        for name, value in double.environment.items():
             patch.setenv(name, value)
         with replaying(config, folder / "logs", "--duration", f"{PATIENCE:g}s") as replay:
-            replay.read_until(settled, "everything settled")
-            run.alive_before_stop = run.double.alive()
+            replay.read_until_states(SETTLED)
+            if not replay.told(**given_up):
+                replay.until(**given_up)
+            alive = double.alive()
             replay.process.terminate()
-            run.events = replay.read_all()
-            run.exit_code = replay.process.returncode
-    return run
+            replay.read_all()
+    return Run(double, replay, alive)
 
 
 def test_a_load_whose_request_got_lost_is_sent_once_more(run: Run) -> None:
@@ -175,9 +158,8 @@ def test_a_container_that_dies_comes_back_with_all_of_its_nodes(run: Run) -> Non
         assert run.states(name).index("lost") < len(run.states(name)) - 1 - run.states(name)[
             ::-1
         ].index("loaded")
-    assert (
-        len({event["pid"] for event in run.of("process", kind="started", name="/mortal_box")}) == 2
-    )
+    started = run.replay.told(event="process", kind="started", name="/mortal_box")
+    assert len({event["pid"] for event in started}) == 2
 
 
 def test_a_container_that_dies_of_every_load_is_given_up(run: Run) -> None:
@@ -196,7 +178,7 @@ def test_everybody_who_is_declared_is_there_once(run: Run) -> None:
 
 
 def test_at_the_end_nodes_go_with_their_container(run: Run) -> None:
-    assert run.exit_code == 128 + 15
+    assert run.replay.process.returncode == 128 + 15
     for name in ("/after_it", "/heard"):
         assert run.states(name)[-1] == "unloaded", run.reasons(name)
     assert run.states("/hanging")[-1] == "lost"
