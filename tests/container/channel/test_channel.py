@@ -263,9 +263,10 @@ async def test_who_does_not_say_hello_is_refused(
 
 
 async def test_a_slow_reader_slows_the_container_down(
-    channel: ControlChannel, container: Container
+    channel: ControlChannel, container: Container, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    count = 20_000
+    monkeypatch.setattr(channel_module, "MAX_QUEUED_FRAMES", 100)
+    count = 2000
     said = 0
 
     async def talk() -> None:

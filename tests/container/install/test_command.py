@@ -83,9 +83,9 @@ def test_an_isolated_container(
 ) -> None:
     argv = container_argv(container(container_type=kind, isolation=isolation), BINARY)
     assert argv[1 : argv.index("--ros-args")] == flags
-    more = {"core_dumps": True, "memory_domains": MemoryDomains.AUTO}
+    more = {"core_dumps": True, "memory_domains": MemoryDomains.REQUIRED}
     asked = container(container_type=kind, isolation=isolation, **more)
-    added = {"--core_dumps", "--memory_domains", "auto"} if flags else set()
+    added = {"--core_dumps", "--memory_domains", "required"} if flags else set()
     assert set(container_argv(asked, BINARY)) - set(argv) == added
 
 
