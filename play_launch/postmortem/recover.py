@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
 from mcap.exceptions import McapError
@@ -42,7 +41,7 @@ class Recovered(NamedTuple):
     path: Path
     messages: int
     reader: BagReader
-    last_offset: int = 0
+    last_offset: int
     """Where in the file the last message stands that was read."""
 
 

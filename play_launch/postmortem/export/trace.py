@@ -64,12 +64,6 @@ class Track(Struct, frozen=True):
     thread: int
 
 
-class _Slice(Struct):
-    name: str
-    begin: float
-    args: TraceEvent
-
-
 class TraceMaker:
     """Makes the events of the trace while the timeline takes those of the session."""
 
@@ -80,7 +74,8 @@ class TraceMaker:
         self._marked = 0
         self._processes: dict[str, int] = {}
         self._tracks: dict[tuple[str, str], Track] = {}
-        self._open: dict[Track, _Slice] = {}
+        self._open: dict[Track, TraceEvent] = {}
+        """Slices without their durations."""
         self._counters: dict[tuple[int, str], Mapping[str, float]] = {}
         self._made: list[TraceEvent] = []
 
@@ -151,27 +146,17 @@ class TraceMaker:
     ) -> None:
         name = state.name.lower().replace("_", " ")
         before = self._open.get(track)
-        if before is not None and before.name == name:
+        if before is not None and before["name"] == name:
             return  # reported again
         self._close(track, at)
         if state not in _NOT_THERE:
-            self._open[track] = _Slice(name, at, args)
+            place = {"pid": track.process, "tid": track.thread, "ts": at}
+            self._open[track] = {"ph": "X", "cat": "state", "name": name, **place, "args": args}
 
     def _close(self, track: Track, at: float) -> None:
         ended = self._open.pop(track, None)
         if ended is not None:
-            self._made.append(
-                {
-                    "ph": "X",
-                    "cat": "state",
-                    "name": ended.name,
-                    "pid": track.process,
-                    "tid": track.thread,
-                    "ts": ended.begin,
-                    "dur": round(max(0.0, at - ended.begin), 3),
-                    "args": ended.args,
-                }
-            )
+            self._made.append(ended | {"dur": round(max(0.0, at - ended["ts"]), 3)})
 
     def _mark(self, track: Track, at: float, name: str, args: TraceEvent) -> None:
         self._made.append(
