@@ -1,12 +1,131 @@
 #include "topic_recorder/chunk.hpp"
 
-#include <algorithm>
-#include <bit>
-#include <cstring>
+#include <sys/mman.h>
+#include <unistd.h>
 
-#include "topic_recorder/crc32.hpp"
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cerrno>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <system_error>
+#include <utility>
 
 namespace play_launch::topics {
+namespace {
+
+constexpr std::uint32_t kPolynomial = 0xEDB88320;
+constexpr std::size_t kStride = 16;
+using Tables = std::array<std::array<std::uint32_t, 256>, kStride>;
+
+/// "Slicing": sixteen bytes at a time, each with a table of its own. Table k has what a byte does
+/// to the sum when k more bytes follow it.
+constexpr Tables make_tables() {
+  Tables tables{};
+  for (std::uint32_t byte = 0; byte < 256; ++byte) {
+    std::uint32_t sum = byte;
+    for (int bit = 0; bit < 8; ++bit) {
+      sum = (sum >> 1) ^ ((sum & 1) != 0 ? kPolynomial : 0);
+    }
+    tables[0][byte] = sum;
+  }
+  for (std::size_t k = 1; k < kStride; ++k) {
+    for (std::size_t byte = 0; byte < 256; ++byte) {
+      const std::uint32_t before = tables[k - 1][byte];
+      tables[k][byte] = (before >> 8) ^ tables[0][before & 0xFF];
+    }
+  }
+  return tables;
+}
+
+constexpr Tables kTables = make_tables();
+
+std::uint32_t word(const std::byte* at) {
+  static_assert(std::endian::native == std::endian::little);
+  std::uint32_t value = 0;
+  std::memcpy(&value, at, sizeof value);
+  return value;
+}
+
+std::uint32_t slice(std::uint32_t value, std::size_t table) {
+  return kTables[table][value & 0xFF] ^ kTables[table - 1][(value >> 8) & 0xFF] ^
+         kTables[table - 2][(value >> 16) & 0xFF] ^ kTables[table - 3][value >> 24];
+}
+
+}  // namespace
+
+std::uint32_t crc32(std::span<const std::byte> data) {
+  std::uint32_t sum = 0xFFFFFFFF;
+  while (data.size() >= kStride) {
+    sum = slice(word(data.data()) ^ sum, 15) ^ slice(word(data.data() + 4), 11) ^
+          slice(word(data.data() + 8), 7) ^ slice(word(data.data() + 12), 3);
+    data = data.subspan(kStride);
+  }
+  for (const std::byte byte : data) {
+    sum = (sum >> 8) ^ kTables[0][(sum ^ static_cast<std::uint32_t>(byte)) & 0xFF];
+  }
+  return ~sum;
+}
+
+namespace {
+
+/// What a file grows by.
+constexpr std::size_t kStep = 256 << 10;
+
+}  // namespace
+
+MemoryFile::MemoryFile() : file_(::memfd_create("topics", MFD_CLOEXEC)) {
+  if (!file_) {
+    throw std::system_error(errno, std::generic_category(), "no file in memory");
+  }
+}
+
+MemoryFile::MemoryFile(MemoryFile&& other) noexcept
+    : file_(std::move(other.file_)),
+      data_(std::exchange(other.data_, nullptr)),
+      capacity_(std::exchange(other.capacity_, 0)) {}
+
+MemoryFile& MemoryFile::operator=(MemoryFile&& other) noexcept {
+  if (this != &other) {
+    close();
+    file_ = std::move(other.file_);
+    data_ = std::exchange(other.data_, nullptr);
+    capacity_ = std::exchange(other.capacity_, 0);
+  }
+  return *this;
+}
+
+MemoryFile::~MemoryFile() { close(); }
+
+void MemoryFile::close() {
+  if (data_ != nullptr) {
+    ::munmap(data_, capacity_);
+    data_ = nullptr;
+    capacity_ = 0;
+  }
+}
+
+bool MemoryFile::reserve(std::size_t size) {
+  if (size <= capacity_) {
+    return true;
+  }
+  const std::size_t capacity = (size + kStep - 1) / kStep * kStep;
+  if (::ftruncate(file_.get(), static_cast<off_t>(capacity)) != 0) {
+    return false;
+  }
+  void* const place = data_ == nullptr ? ::mmap(nullptr, capacity, PROT_READ | PROT_WRITE,
+                                                MAP_SHARED, file_.get(), 0)
+                                       : ::mremap(data_, capacity_, capacity, MREMAP_MAYMOVE);
+  if (place == MAP_FAILED) {
+    return false;
+  }
+  data_ = static_cast<std::byte*>(place);
+  capacity_ = capacity;
+  return true;
+}
+
 namespace {
 
 static_assert(std::endian::native == std::endian::little, "MCAP is little-endian");
@@ -108,6 +227,31 @@ Chunk ChunkBuilder::finish() && {
   }
   chunk.file = std::move(file_);
   return chunk;
+}
+
+namespace {
+
+/// Half of what readers of a recording take for damage.
+constexpr std::size_t kLargestMessage = 512 << 20;
+
+void* no_memory(std::size_t, void*) { return nullptr; }
+void* no_zeroed_memory(std::size_t, std::size_t, void*) { return nullptr; }
+void keep(void*, void*) {}
+void* grow(void*, std::size_t size, void* state) {
+  if (size > kLargestMessage) {
+    return nullptr;
+  }
+  return static_cast<ChunkBuilder*>(state)->room_for(size);
+}
+
+}  // namespace
+
+rmw_serialized_message_t message_in(ChunkBuilder& chunk) {
+  rmw_serialized_message_t message = rmw_get_zero_initialized_serialized_message();
+  message.buffer = reinterpret_cast<std::uint8_t*>(chunk.room_for(0));
+  message.buffer_capacity = chunk.room();
+  message.allocator = {no_memory, keep, grow, no_zeroed_memory, &chunk};
+  return message;
 }
 
 }  // namespace play_launch::topics

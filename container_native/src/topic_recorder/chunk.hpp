@@ -1,14 +1,47 @@
 #pragma once
 
+#include <rmw/serialized_message.h>
+
 #include <cstddef>
 #include <cstdint>
 #include <map>
+#include <span>
 #include <utility>
 #include <vector>
 
-#include "topic_recorder/memory_file.hpp"
+#include "base/unique_fd.hpp"
 
 namespace play_launch::topics {
+
+/// The checksum of zlib's crc32() and of MCAP.
+std::uint32_t crc32(std::span<const std::byte> data);
+
+/// A file in memory (memfd), mapped, that grows. Its descriptor can be handed to another process.
+class MemoryFile {
+ public:
+  /// Throws std::system_error.
+  MemoryFile();
+  MemoryFile(MemoryFile&& other) noexcept;
+  MemoryFile& operator=(MemoryFile&& other) noexcept;
+  MemoryFile(const MemoryFile&) = delete;
+  MemoryFile& operator=(const MemoryFile&) = delete;
+  ~MemoryFile();
+
+  [[nodiscard]] int descriptor() const { return file_.get(); }
+  /// Moves when it grows.
+  [[nodiscard]] std::byte* data() const { return data_; }
+  [[nodiscard]] std::size_t capacity() const { return capacity_; }
+
+  /// Makes room for at least so many bytes; false when there is no memory.
+  bool reserve(std::size_t size);
+
+ private:
+  void close();
+
+  UniqueFd file_;
+  std::byte* data_ = nullptr;
+  std::size_t capacity_ = 0;
+};
 
 /// What MCAP wants to know of a message beside its data; times in nanoseconds since the epoch.
 struct MessageHead {
@@ -68,5 +101,9 @@ class ChunkBuilder {
   /// For each channel, time and place of each message.
   std::map<std::uint16_t, std::vector<std::pair<std::uint64_t, std::uint64_t>>> indexes_;
 };
+
+/// A message for the middleware to write into, at the place of the next one in the chunk. The chunk
+/// grows where the message is larger than its room; it must outlive the message.
+rmw_serialized_message_t message_in(ChunkBuilder& chunk);
 
 }  // namespace play_launch::topics

@@ -70,4 +70,73 @@ void Outbox::done(std::uint32_t slot) {
   sent_.erase(found);
 }
 
+namespace {
+
+/// Bytes at which a chunk is complete. One that is larger than this is a single message.
+constexpr std::size_t kChunkSize = 1 << 20;
+
+}  // namespace
+
+OpenChunk::Clock::time_point OpenChunk::due() const {
+  return is_empty() ? Clock::time_point::max() : began_ + longest_;
+}
+
+bool OpenChunk::is_complete() const { return builder_ && builder_->size() > kChunkSize; }
+
+ChunkBuilder& OpenChunk::builder() {
+  if (!builder_) {
+    builder_.emplace(spare_.take());
+  }
+  return *builder_;
+}
+
+void OpenChunk::append(const MessageHead& head, std::size_t size) {
+  if (builder_->is_empty()) {
+    began_ = Clock::now();
+  }
+  builder_->append(head, size);
+}
+
+std::optional<Chunk> OpenChunk::finish() {
+  if (is_empty()) {
+    return std::nullopt;
+  }
+  Chunk chunk = std::move(*builder_).finish();
+  builder_.reset();
+  return chunk;
+}
+
+void Ring::add(Chunk chunk) {
+  const std::uint64_t now = chunk.end_time;
+  size_ += chunk.file.capacity();
+  chunks_.push_back(std::move(chunk));
+  while (!chunks_.empty() && size_ + elsewhere_ > size_limit_) {
+    drop_oldest();
+  }
+  expire(now);
+}
+
+void Ring::expire(std::uint64_t now) {
+  while (!chunks_.empty() && chunks_.front().end_time + time_ < now) {
+    drop_oldest();
+  }
+}
+
+std::optional<Chunk> Ring::take() {
+  if (chunks_.empty()) {
+    return std::nullopt;
+  }
+  Chunk chunk = std::move(chunks_.front());
+  chunks_.pop_front();
+  size_ -= chunk.file.capacity();
+  return chunk;
+}
+
+void Ring::drop_oldest() {
+  Chunk chunk = std::move(chunks_.front());
+  chunks_.pop_front();
+  size_ -= chunk.file.capacity();
+  spare_.give(std::move(chunk.file));
+}
+
 }  // namespace play_launch::topics

@@ -1,8 +1,11 @@
 #pragma once
 
+#include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <map>
+#include <optional>
 #include <vector>
 
 #include "topic_recorder/chunk.hpp"
@@ -59,6 +62,65 @@ class Outbox {
   std::uint32_t next_slot_ = 1;
   std::uint64_t live_size_ = 0;
   std::uint64_t held_size_ = 0;
+};
+
+/// The chunk that messages of one treatment are written into, until it is large or old enough.
+class OpenChunk {
+ public:
+  using Clock = std::chrono::steady_clock;
+
+  /// `longest` is how long a message may wait for the end of its chunk.
+  OpenChunk(Treatment treatment, Clock::duration longest, SpareFiles& spare)
+      : treatment_(treatment), longest_(longest), spare_(spare) {}
+
+  [[nodiscard]] Treatment treatment() const { return treatment_; }
+  [[nodiscard]] bool is_empty() const { return !builder_ || builder_->is_empty(); }
+  /// When it has to be finished; never if it is empty.
+  [[nodiscard]] Clock::time_point due() const;
+  [[nodiscard]] bool is_complete() const;
+
+  /// Where the bytes of the next message belong, before it is appended.
+  ChunkBuilder& builder();
+  /// Appends the message whose `size` bytes the builder has got.
+  void append(const MessageHead& head, std::size_t size);
+  /// Without data when memory was short. None if it was empty.
+  std::optional<Chunk> finish();
+
+ private:
+  const Treatment treatment_;
+  const Clock::duration longest_;
+  SpareFiles& spare_;
+  std::optional<ChunkBuilder> builder_;
+  /// When its first message came.
+  Clock::time_point began_{};
+};
+
+/// The last seconds of the topics that are held, in chunks that are ready to be passed on.
+class Ring {
+ public:
+  Ring(SpareFiles& spare, std::int64_t time, std::uint64_t size)
+      : spare_(spare), time_(static_cast<std::uint64_t>(time)), size_limit_(size) {}
+
+  /// Takes a chunk, and drops what is too old or too much beside it.
+  void add(Chunk chunk);
+  /// Drops what is older than it may be at `now`, in nanoseconds since the epoch.
+  void expire(std::uint64_t now);
+  /// Gives the oldest chunk away.
+  std::optional<Chunk> take();
+  /// Bytes that others hold of what it once held; there is that much less room here.
+  void set_elsewhere(std::uint64_t size) { elsewhere_ = size; }
+
+  [[nodiscard]] bool is_empty() const { return chunks_.empty(); }
+
+ private:
+  void drop_oldest();
+
+  SpareFiles& spare_;
+  const std::uint64_t time_;
+  const std::uint64_t size_limit_;
+  std::uint64_t size_ = 0;
+  std::uint64_t elsewhere_ = 0;
+  std::deque<Chunk> chunks_;
 };
 
 }  // namespace play_launch::topics

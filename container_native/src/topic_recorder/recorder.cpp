@@ -5,10 +5,10 @@
 #include <limits>
 #include <utility>
 
-#include "topic_recorder/message_in_chunk.hpp"
-#include "topic_recorder/offered_qos.hpp"
-#include "topic_recorder/parameters_message.hpp"
-#include "topic_recorder/type_support.hpp"
+#include "topic_recorder/chunk.hpp"
+#include "topic_recorder/parameter_survey.hpp"
+#include "topic_recorder/ros.hpp"
+#include "topic_recorder/selection.hpp"
 
 namespace play_launch::topics {
 namespace {

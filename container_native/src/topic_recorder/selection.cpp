@@ -1,8 +1,10 @@
 #include "topic_recorder/selection.hpp"
 
 #include <fnmatch.h>
+#include <rmw/qos_profiles.h>
 
 #include <algorithm>
+#include <set>
 #include <string_view>
 #include <vector>
 
@@ -46,6 +48,75 @@ Treatment treatment(const Options& options, const std::string& topic) {
     return Treatment::recorded;
   }
   return any_matches(options.held, topic) ? Treatment::held : Treatment::none;
+}
+
+namespace {
+
+/// Messages that wait in the middleware until our thread gets a processor: a second of a topic at
+/// 1 kHz. It takes them all the time, also those that there is no room for; so few wait.
+constexpr std::size_t kDepth = 1000;
+
+bool is_reliable(const rmw_qos_profile_t& profile) {
+  return profile.reliability == RMW_QOS_POLICY_RELIABILITY_RELIABLE;
+}
+
+bool is_latched(const rmw_qos_profile_t& profile) {
+  return profile.durability == RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL;
+}
+
+std::string seconds(const rmw_time_t& time) {
+  return "{sec: " + std::to_string(time.sec) + ", nsec: " + std::to_string(time.nsec) + "}";
+}
+
+std::string as_yaml(const rmw_qos_profile_t& profile) {
+  return "- history: " + std::to_string(static_cast<int>(profile.history)) +
+         "\n  depth: " + std::to_string(profile.depth) +
+         "\n  reliability: " + std::to_string(static_cast<int>(profile.reliability)) +
+         "\n  durability: " + std::to_string(static_cast<int>(profile.durability)) +
+         "\n  deadline: " + seconds(profile.deadline) +
+         "\n  lifespan: " + seconds(profile.lifespan) +
+         "\n  liveliness: " + std::to_string(static_cast<int>(profile.liveliness)) +
+         "\n  liveliness_lease_duration: " + seconds(profile.liveliness_lease_duration) +
+         "\n  avoid_ros_namespace_conventions: " +
+         (profile.avoid_ros_namespace_conventions ? "true" : "false");
+}
+
+}  // namespace
+
+rmw_qos_profile_t request_for(const std::vector<rmw_qos_profile_t>& offered) {
+  rmw_qos_profile_t request = rmw_qos_profile_default;
+  request.history = RMW_QOS_POLICY_HISTORY_KEEP_LAST;
+  request.depth = kDepth;
+  request.reliability = std::ranges::all_of(offered, is_reliable)
+                            ? RMW_QOS_POLICY_RELIABILITY_RELIABLE
+                            : RMW_QOS_POLICY_RELIABILITY_BEST_EFFORT;
+  request.durability = RMW_QOS_POLICY_DURABILITY_VOLATILE;
+  if (std::ranges::all_of(offered, is_latched)) {
+    request.durability = RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL;
+    // A reader that keeps less than such a publisher gets less of what was said before.
+    for (const rmw_qos_profile_t& profile : offered) {
+      request.depth = std::max(request.depth, std::min<std::size_t>(profile.depth, 10 * kDepth));
+    }
+  }
+  return request;
+}
+
+bool asks_too_much(const rmw_qos_profile_t& present, const rmw_qos_profile_t& wanted) {
+  return (is_reliable(present) && !is_reliable(wanted)) ||
+         (is_latched(present) && !is_latched(wanted));
+}
+
+std::string offered_qos_profiles(const std::vector<rmw_qos_profile_t>& offered) {
+  // Equal ones once: a hundred nodes publish on /rosout.
+  std::set<std::string> known;
+  std::string text;
+  for (const rmw_qos_profile_t& profile : offered) {
+    const std::string entry = as_yaml(profile);
+    if (known.insert(entry).second) {
+      text += (text.empty() ? "" : "\n") + entry;
+    }
+  }
+  return text;
 }
 
 }  // namespace play_launch::topics

@@ -1,8 +1,11 @@
 #pragma once
 
+#include <rmw/types.h>
+
 #include <cstdint>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "topic_recorder/options.hpp"
 
@@ -36,5 +39,16 @@ bool asks_for_parameters(const Options& options);
 /// What is both asked for as it comes and to be held is recorded as it comes. Never topics below
 /// /play_launch: those are the supervisor's own, played back from a recording.
 Treatment treatment(const Options& options, const std::string& topic);
+
+/// What to ask for so that every one of these publishers is heard: reliable and transient_local
+/// only where all of them are, as rosbag2 does. `offered` is not empty.
+rmw_qos_profile_t request_for(const std::vector<rmw_qos_profile_t>& offered);
+
+/// Whether a subscription that asks for `present` does not hear publishers that `wanted` does.
+bool asks_too_much(const rmw_qos_profile_t& present, const rmw_qos_profile_t& wanted);
+
+/// The profiles as rosbag2 stores them beside a channel, in YAML; policies as numbers, which every
+/// rosbag2 from Foxy on reads.
+std::string offered_qos_profiles(const std::vector<rmw_qos_profile_t>& offered);
 
 }  // namespace play_launch::topics
