@@ -1,5 +1,6 @@
 #include "base/elf.hpp"
 
+#include <cxxabi.h>
 #include <dlfcn.h>
 #include <elf.h>
 #include <fcntl.h>
@@ -8,8 +9,10 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdlib>
 #include <cstring>
 #include <filesystem>
+#include <memory>
 #include <system_error>
 
 #include "base/unique_fd.hpp"
@@ -257,6 +260,13 @@ std::optional<FileSymbols::Function> FileSymbols::function_at(std::uintptr_t add
     }
   }
   return std::nullopt;
+}
+
+std::string demangled(const char* name) {
+  int status = 0;
+  const std::unique_ptr<char, decltype(&std::free)> text(
+      abi::__cxa_demangle(name, nullptr, nullptr, &status), &std::free);
+  return status == 0 ? text.get() : name;
 }
 
 }  // namespace play_launch

@@ -1,5 +1,8 @@
 #pragma once
 
+#include <signal.h>
+
+#include <array>
 #include <condition_variable>
 #include <cstdint>
 #include <deque>
@@ -11,6 +14,7 @@
 #include <utility>
 
 #include "components/component_backend.hpp"
+#include "isolation/record/alternate_stack.hpp"
 
 namespace play_launch::container {
 
@@ -61,6 +65,41 @@ class LibraryLoader {
   std::map<std::uint64_t, std::shared_ptr<Order>> waiting_;
   bool done_ = false;
   std::thread thread_;  // from the first order on
+};
+
+/// Opens a library with ComponentBackend::open(). With ROS from PyPI's wheels, a library that was
+/// linked, without need, against the Python half of an interface package wants symbols of libpython
+/// that no library defines; it gets stand-ins. One that brings libpython along gets its own. In one
+/// thread at a time. Throws LoadError.
+std::unique_ptr<ComponentLibrary> open_library(ComponentBackend& backend, const std::string& path);
+
+/// While it exists, a fault or a call of exit() in the calling thread ends the container, as it
+/// would without, but the container's log says before which library did it, and for which node:
+/// initialisers of a library run in the container itself. exit() ends it by SIGABRT. One at a time.
+class OpeningGuard {
+ public:
+  /// Prepares the thread; lives longer than the guards in it.
+  class Thread {
+   public:
+    Thread() noexcept;
+    ~Thread();
+    Thread(const Thread&) = delete;
+    Thread& operator=(const Thread&) = delete;
+
+   private:
+    isolation::AlternateStack stack_;
+  };
+
+  OpeningGuard(const std::string& node, const std::string& library);
+  ~OpeningGuard();
+  OpeningGuard(const OpeningGuard&) = delete;
+  OpeningGuard& operator=(const OpeningGuard&) = delete;
+
+ private:
+  static constexpr std::array kSignals{SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGTRAP, SIGSYS};
+
+  std::string text_;
+  std::array<struct sigaction, kSignals.size()> before_{};
 };
 
 }  // namespace play_launch::container

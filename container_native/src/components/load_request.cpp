@@ -7,7 +7,7 @@
 #include <string>
 #include <typeinfo>
 
-#include "base/demangle.hpp"
+#include "base/elf.hpp"
 
 namespace play_launch::container {
 namespace {

@@ -15,7 +15,7 @@
 #include "base/elf.hpp"
 #include "base/unique_fd.hpp"
 #include "components/backend_list.hpp"
-#include "components/open_library.hpp"
+#include "components/library_loader.hpp"
 #include "isolation/clone/child.hpp"
 #include "isolation/clone/donor_thread.hpp"
 #include "isolation/crash/crash_handler.hpp"

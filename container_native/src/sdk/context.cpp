@@ -1,8 +1,13 @@
+#include <linux/futex.h>
 #include <rcl/error_handling.h>
 #include <rcl/init.h>
 #include <rcl/init_options.h>
 #include <rcl/logging.h>
+#include <sys/syscall.h>
+#include <unistd.h>
 
+#include <cerrno>
+#include <ctime>
 #include <play_launch/context.hpp>
 #include <play_launch/detail/context_access.hpp>
 #include <play_launch/detail/intra_process.hpp>
@@ -134,4 +139,80 @@ void detail::ContextAccess::stop_on_shutdown(Context& context,
   stop->set();
 }
 
+namespace {
+
+std::string explain(const std::string& doing) {
+  std::string text = "failed to " + doing;
+  if (rcl_error_is_set()) {
+    text += ": ";
+    text += rcl_get_error_string().str;
+    rcl_reset_error();
+  }
+  return text;
+}
+
+}  // namespace
+
+RclError::RclError(const std::string& doing, rcl_ret_t code)
+    : std::runtime_error(explain(doing)), code_(code) {}
+
+void throw_unless_ok(rcl_ret_t code, const std::string& doing) {
+  if (code != RCL_RET_OK) throw RclError(doing, code);
+}
+
+ParameterTypeError::ParameterTypeError(const std::string& name, const std::string& expected,
+                                       const std::string& given)
+    : ParameterError("parameter '" + name + "' has the wrong type: expected " + expected +
+                     ", given " + given) {}
+
+ParameterNotDeclared::ParameterNotDeclared(const std::string& name)
+    : ParameterError("parameter '" + name + "' has not been declared") {}
+
+ParameterAlreadyDeclared::ParameterAlreadyDeclared(const std::string& name)
+    : ParameterError("parameter '" + name + "' has been declared already") {}
+
+ParameterRejected::ParameterRejected(const std::string& name, const std::string& reason)
+    : ParameterError("the node refused the value of parameter '" + name + "': " + reason) {}
+
 }  // namespace play_launch
+
+namespace play_launch::detail {
+
+static_assert(std::atomic<std::uint32_t>::is_always_lock_free &&
+              sizeof(std::atomic<std::uint32_t>) == sizeof(std::uint32_t));
+
+void Doorbell::ring(int waiters) noexcept {
+  rings_.fetch_add(1);
+  if (waiters_.load() == 0) return;
+  const int error = errno;  // of what a signal handler that rings interrupted
+  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&rings_), FUTEX_WAKE_PRIVATE, waiters,
+          nullptr, nullptr, 0);
+  errno = error;
+}
+
+void Doorbell::wait(std::uint32_t seen, Nanoseconds deadline) noexcept {
+  constexpr Nanoseconds kSecond = 1'000'000'000;
+  timespec until{};
+  const timespec* timeout = nullptr;
+  if (deadline != kNever) {
+    const Nanoseconds at = deadline < 0 ? 0 : deadline;
+    until.tv_sec = at / kSecond;
+    until.tv_nsec = at % kSecond;
+    timeout = &until;
+  }
+  waiters_.fetch_add(1);
+  // The bitset form takes an absolute time, by CLOCK_MONOTONIC.
+  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&rings_), FUTEX_WAIT_BITSET_PRIVATE, seen,
+          timeout, nullptr, FUTEX_BITSET_MATCH_ANY);
+  waiters_.fetch_sub(1);
+}
+
+void StopFlag::wait() noexcept {
+  while (true) {
+    const auto seen = doorbell_.rings();
+    if (is_set()) return;
+    doorbell_.wait(seen);
+  }
+}
+
+}  // namespace play_launch::detail

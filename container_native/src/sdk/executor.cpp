@@ -18,7 +18,6 @@
 
 #include "ready_queue.hpp"
 #include "scheduler.hpp"
-#include "waitable_registry.hpp"
 
 namespace play_launch {
 

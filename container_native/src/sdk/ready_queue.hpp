@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <play_launch/detail/stop_flag.hpp>
 #include <utility>
@@ -132,6 +133,32 @@ class WakeToken : public std::enable_shared_from_this<WakeToken> {
 struct ReadyEntry {
   std::shared_ptr<WakeToken> token;
   std::shared_ptr<NodeSlot> slot;
+};
+
+class NodeSlot;
+class Waitable;
+class WakeToken;
+
+/// What a node has for executors, and which executor the node is in.
+class WaitableRegistry {
+ public:
+  /// Adds a waitable, for the executor too if there is one.
+  void add(const std::shared_ptr<Waitable>& waitable);
+
+  /// Claims the node for an executor. Throws std::logic_error when another has it.
+  void hold();
+  /// Connects all present and future waitables to that place in the executor.
+  void attach(std::shared_ptr<NodeSlot> slot);
+  /// Disconnects all. The node stays claimed until release().
+  void detach();
+  void release();
+
+ private:
+  std::mutex mutex_;
+  bool held_ = false;
+  std::shared_ptr<NodeSlot> slot_;
+  std::vector<std::shared_ptr<WakeToken>> tokens_;
+  std::size_t prune_at_ = 32;
 };
 
 }  // namespace play_launch

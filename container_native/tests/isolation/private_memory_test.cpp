@@ -19,7 +19,7 @@
 #include <vector>
 
 #include "harness.hpp"
-#include "isolation/memory/key_table.hpp"
+#include "isolation/memory/protection_keys.hpp"
 
 namespace {
 

@@ -5,7 +5,6 @@
 
 #include <memory>
 
-#include "base/demangle.hpp"
 #include "base/elf.hpp"
 
 namespace play_launch::rclcpp_backend {

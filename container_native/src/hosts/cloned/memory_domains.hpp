@@ -8,8 +8,8 @@
 #include <string_view>
 #include <vector>
 
-#include "isolation/memory/key_table.hpp"
 #include "isolation/memory/private_memory.hpp"
+#include "isolation/memory/protection_keys.hpp"
 
 namespace play_launch::container {
 

@@ -1,10 +1,16 @@
 #pragma once
 
+#include <atomic>
+#include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "control/channel.hpp"
 #include "hosts/isolated/isolated_host.hpp"
+#include "hosts/isolated/isolated_node.hpp"
+#include "hosts/spawned/hosted_process.hpp"
 
 namespace play_launch::container {
 
@@ -23,6 +29,47 @@ class ProcessHost final : public IsolatedHost {
 
   std::vector<std::string> arguments_;
   std::vector<std::string> ros_arguments_;
+};
+
+/// A node in a container of its own, which this one started and talks to on the control channel as
+/// a supervisor does.
+class HostedNode final : public IsolatedNode, private control::ChannelHandler {
+ public:
+  /// Starts the process, with `arguments`, and sends it the request. Throws std::exception.
+  HostedNode(std::uint64_t unique_id, const std::vector<std::string>& arguments,
+             LoadRequest request, int doorbell);
+  ~HostedNode() override;
+
+  int watched_fd() const override { return process_->is_reaped() ? -1 : process_->fd(); }
+
+ private:
+  NodeLife look() override;
+  const LoadRequest& request() const override { return request_; }
+  ProcessIdentity process() const override { return process_->identity(); }
+  std::string full_name() const override;
+  std::string failure() const override { return failure_; }
+  std::string why_it_left() const override { return why_it_left_; }
+  NodeDeath death() override;
+  bool is_cleaned_up() override { return true; }  // by the kernel
+  void ask_to_leave() override;
+  bool signal(int number) override;
+
+  void on_frame(const control::Frame& frame) override;
+  void on_closed() override;
+  void on_protocol_error(const std::string& what) override;
+
+  void note(NodeLife part, std::string& text, const std::string& what);
+
+  const LoadRequest request_;
+  std::optional<HostedProcess> process_;
+  std::optional<control::Channel> channel_;
+
+  // Written by the thread that reads the channel, once each, before the life has the part.
+  std::string full_name_;    // NodeLife::spinning
+  std::string failure_;      // NodeLife::failed
+  std::string why_it_left_;  // NodeLife::left
+  LifeRecord life_;
+  std::atomic<bool> closed_{false};  // everything that it wrote is read
 };
 
 }  // namespace play_launch::container

@@ -10,7 +10,7 @@
 #include <system_error>
 #include <utility>
 
-#include "isolation/clone/allocator.hpp"
+#include "isolation/clone/inheritance.hpp"
 #include "isolation/clone/vm_clone.hpp"
 #include "isolation/record/own_signals.hpp"
 

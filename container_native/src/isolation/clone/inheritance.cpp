@@ -1,5 +1,6 @@
 #include "isolation/clone/inheritance.hpp"
 
+#include <dlfcn.h>
 #include <pthread.h>
 #include <signal.h>
 
@@ -7,7 +8,6 @@
 #include <climits>
 #include <cstdint>
 
-#include "isolation/clone/allocator.hpp"
 #include "isolation/clone/vm_clone.hpp"
 #include "isolation/record/own_signals.hpp"
 
@@ -74,5 +74,14 @@ bool give_back_heaps(const CrashSlot& slot) noexcept {
   }
   return clone_and_wait(give_back, const_cast<CrashSlot*>(&slot)).clean();
 }
+
+namespace {
+
+// Found when the program starts: later, that could wait for the initialisers of a node's library.
+const auto function = reinterpret_cast<ThreadDone>(::dlsym(RTLD_DEFAULT, "mi_thread_done"));
+
+}  // namespace
+
+ThreadDone allocator_thread_done() { return function; }
 
 }  // namespace play_launch::isolation

@@ -14,4 +14,10 @@ namespace play_launch::isolation {
 /// True: all that could be was given back. Neither allocates nor takes a lock.
 bool give_back_heaps(const CrashSlot& slot) noexcept;
 
+using ThreadDone = void (*)();
+
+/// mimalloc's function that leaves the calling thread's memory to the surviving threads; null with
+/// another allocator. Async-signal-safe.
+ThreadDone allocator_thread_done();
+
 }  // namespace play_launch::isolation

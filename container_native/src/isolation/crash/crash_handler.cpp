@@ -23,7 +23,6 @@
 #include <tuple>
 #include <typeinfo>
 
-#include "base/demangle.hpp"
 #include "base/elf.hpp"
 #include "isolation/memory/protection_keys.hpp"
 #include "isolation/quiesce/call_stack.hpp"

@@ -11,7 +11,6 @@
 #include <optional>
 #include <utility>
 
-#include "base/demangle.hpp"
 #include "base/elf.hpp"
 #include "isolation/crash/crash_handler.hpp"
 #include "isolation/record/survive.hpp"
