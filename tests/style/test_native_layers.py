@@ -12,7 +12,7 @@ SOURCES = NATIVE / "src"
 # headers of the SDK are <play_launch/…>, which every room but the lowest may use.
 LAYERS = (
     {"base"},
-    {"sdk", "control", "isolation/record"},
+    {"sdk", "control", "fastdds", "isolation/record"},
     {"isolation/after", "isolation/memory"},
     {"isolation/quiesce"},
     {"isolation/crash"},
@@ -26,8 +26,9 @@ LAYERS = (
     {"main"},
 )
 LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
-# Programs and a library of their own, which use nothing but base/.
-APART = {"python_waits", "spawn_guard", "topic_recorder"}
+# Programs of their own, which use nothing but these.
+APART = {"spawn_guard", "topic_recorder"}
+SHARED = {"base", "fastdds"}
 
 INCLUDE = re.compile(r'^#include "([^"]+)"', re.MULTILINE)
 
@@ -56,7 +57,7 @@ def refused(path: Path) -> set[str]:
     room = room_of(path)
     others = {room_of(file) for file in included_files(path)} - {room}
     if room in APART:
-        return others - {"base"}
+        return others - SHARED
     return {other for other in others if LEVEL[other] >= LEVEL[room]}
 
 

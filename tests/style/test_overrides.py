@@ -77,7 +77,7 @@ def test_every_symbol_of_another_library_is_on_the_page() -> None:
 
 def test_what_is_on_the_page_is_in_the_program() -> None:
     always = {name for name, (_, library) in listed().items() if not library.endswith(NOT_ALWAYS)}
-    assert len(always) > 30
+    assert len(always) > 20
     assert always <= overridden()
 
 
@@ -100,6 +100,7 @@ def test_no_other_file_passes_calls_on() -> None:
     passing = [
         path.relative_to(SOURCES).as_posix()
         for path in outside
-        if re.search(r'"base/next_function.hpp"|visibility\("default"\)', path.read_text("utf-8"))
+        if path.parent.name != "fastdds"
+        and re.search(r'"base/next_function.hpp"|visibility\("default"\)', path.read_text("utf-8"))
     ]
     assert passing == []

@@ -174,15 +174,6 @@ std::uintptr_t DynamicSymbols::find(std::string_view name) const noexcept {
   return symbol == nullptr ? 0 : base_ + symbol->st_value;
 }
 
-std::uintptr_t DynamicSymbols::call_slot(std::string_view name) const noexcept {
-  for (std::size_t i = 0; symbols_ != nullptr && names_ != nullptr && i < call_count_; ++i) {
-    if (name == names_ + symbols_[ELF64_R_SYM(calls_[i].r_info)].st_name) {
-      return base_ + calls_[i].r_offset;
-    }
-  }
-  return 0;
-}
-
 std::uintptr_t DynamicSymbols::gap_before(std::uintptr_t address) const noexcept {
   const std::uintptr_t offset = address - base_;
   const ElfW(Sym)* const symbol =

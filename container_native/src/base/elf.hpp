@@ -64,10 +64,6 @@ class DynamicSymbols {
     }
   }
 
-  /// Where the address stands through which the library calls a function of another one; 0 when it
-  /// does not call it, or not through its table.
-  std::uintptr_t call_slot(std::string_view name) const noexcept;
-
   /// Calls `visit` with the mangled name of each symbol that the library takes from others.
   template <class Visit>
   void for_each_undefined(Visit visit) const {

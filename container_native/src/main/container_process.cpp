@@ -16,6 +16,7 @@
 #include "base/failpoints.hpp"
 #include "base/orphan_grace.hpp"
 #include "base/report.hpp"
+#include "fastdds/waits.hpp"
 #include "isolation/crash/symbolise.hpp"
 #include "main/backends.hpp"
 #include "main/exit_status.hpp"
@@ -81,6 +82,7 @@ ContainerProcess::~ContainerProcess() = default;
 void ContainerProcess::start(int argc, const char* const* argv) {
   BackendList backends = make_backends(argc, argv);
   context_ = backends.context();
+  fastdds::replace_waits();
   context_guard_.emplace(context_,
                          [this](const std::string& caller) { on_context_shutdown(caller); });
   // The first node of the context, and the last to go: the participant and its threads come with

@@ -10,8 +10,8 @@
 #include <cstdint>
 
 #include "base/doorbell.hpp"
-#include "base/fastdds_segments.hpp"
 #include "base/report.hpp"
+#include "fastdds/segments.hpp"
 
 namespace play_launch::container {
 namespace {

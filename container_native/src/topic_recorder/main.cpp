@@ -12,7 +12,7 @@
 #include <exception>
 #include <stdexcept>
 
-#include "base/fastdds_segments.hpp"
+#include "fastdds/segments.hpp"
 #include "topic_recorder/options.hpp"
 #include "topic_recorder/recorder.hpp"
 

@@ -15,6 +15,7 @@
 #include <stdexcept>
 #include <string_view>
 
+#include "fastdds/waits.hpp"
 #include "topic_recorder/selection.hpp"
 
 namespace play_launch::topics {
@@ -77,6 +78,7 @@ void check(rcl_ret_t result, const std::string& action) {
 RosNode::RosNode() {
   const InitOptions init;
   check(rcl_init(0, nullptr, init.rcl(), &context_), "initialise a context");
+  fastdds::replace_waits();
   rcl_node_options_t options = rcl_node_get_default_options();
   options.enable_rosout = false;
   const std::string name = "_play_launch_recorder_" + std::to_string(::getpid());

@@ -11,11 +11,10 @@ first 63 participants of a domain instead of 32.
 
 **With an end.** Where a participant is destroyed while one of its discovery callbacks runs, Fast
 DDS of the ROS wheels may wait in a loop that keeps the mutex from that callback, for seconds or
-for good, while rclpy holds Python's lock. The cause is a deadline that overflows
-(``overrides/condition_deadline.cpp`` of the container's sources). And where a reader in shared
-memory exits amid a message, a writer may hang on its own lock (``overrides/owned_lock.cpp``).
-Our native programs define the functions that Fast DDS waits with; here they are replaced in the
-library that is loaded.
+for good, while rclpy holds Python's lock. The cause is a deadline that overflows. And where a
+reader in shared memory exits amid a message, a writer may hang on its own lock. So the functions
+that Fast DDS waits with are replaced in the library that is loaded (``fastdds/waits.cpp`` of the
+container's sources).
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ _OLD_RANGE: Final = "ROS_LOCALHOST_ONLY"
 _PEERS: Final = "ROS_STATIC_PEERS"
 _UDP: Final = "UDPv4"
 _ANY_RANGE: Final[dict[str, str | None]] = {_RANGE: "SYSTEM_DEFAULT", _OLD_RANGE: None}
-_WAITS: Final = Path("lib") / "play_launch_container" / "libpython_waits.so"
+_WAITS: Final = Path("lib") / "play_launch_container" / "libfastdds_waits.so"
 _LIBRARIES: Final = ("libfastrtps.so", "libfastdds.so")
 """How the file of Fast DDS begins, of version 2 and later ones."""
 _lock = threading.Lock()
@@ -146,12 +145,12 @@ def end_participants_safely(libraries: tuple[str, ...] = _LIBRARIES) -> int:
     for prefix in (Path(sys.prefix), *ament_prefixes(os.environ)):
         path = prefix / _WAITS
         try:
-            native = ctypes.CDLL(os.fspath(path))
-        except OSError as error:
+            replace = ctypes.CDLL(os.fspath(path)).play_launch_replace_waits
+        except (OSError, AttributeError) as error:  # AttributeError: it is of another version
             if path.exists():
-                _log.debug("%s cannot be loaded: %s", path, error)
+                _log.debug("%s cannot be used: %s", path, error)
             continue
-        return sum(native.play_launch_replace_waits(os.fsencode(name)) for name in libraries)
+        return sum(replace(os.fsencode(name)) for name in libraries)
     return 0
 
 

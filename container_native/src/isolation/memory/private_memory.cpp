@@ -131,12 +131,6 @@ void PrivateMemory::keep(Owner memory) noexcept {
   static_cast<void>(memory.release());
 }
 
-bool PrivateMemory::is_any(std::uintptr_t address) noexcept {
-  return std::ranges::any_of(places, [address](const Place& place) {
-    return place.begin <= address && address < place.end;
-  });
-}
-
 bool PrivateMemory::contains(std::uintptr_t address) const noexcept {
   const auto first = reinterpret_cast<std::uintptr_t>(begin());
   return first <= address && address - first < size_;

@@ -42,8 +42,6 @@ class PrivateMemory final : public std::pmr::memory_resource {
   static void keep(Owner memory) noexcept;
 
   bool contains(std::uintptr_t address) const noexcept;
-  /// Whether it is in any domain. Any process that shares the memory; async-signal-safe.
-  static bool is_any(std::uintptr_t address) noexcept;
 
  private:
   /// Whole blocks, for the pool of smaller pieces.

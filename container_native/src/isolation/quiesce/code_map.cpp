@@ -45,11 +45,11 @@ constexpr std::array kCppRuntime{"libstdc++"sv, "libgcc_s"sv, "libm.so"sv, "libm
                                  "linux-vdso"sv};
 constexpr std::array kCLibrary{"libc.so"sv, "libc-"sv, "libpthread"sv};
 
-/// Functions of other libraries that this program defines in their place (overrides/owned_lock.cpp,
-/// thread_guard.cpp, exit_guard.cpp), and what they call on the way there in a build without
-/// optimisation: their caller decides.
-constexpr std::array kOverrides{"pthread_mutex_"sv, "pthread_once"sv, "__cxa_guard_"sv, "abort"sv,
-                                "_ZN11play_launch12NextFunction"sv};
+/// Functions of this program that are called in place of other libraries' (fastdds/waits.cpp,
+/// overrides/thread_guard.cpp, exit_guard.cpp), and what they call on the way there in a build
+/// without optimisation: their caller decides.
+constexpr std::array kOverrides{"_ZN11play_launch7fastdds"sv, "pthread_once"sv, "__cxa_guard_"sv,
+                                "abort"sv, "_ZN11play_launch12NextFunction"sv};
 
 /// Functions that templates of the middleware become in a user's library; while they run they may
 /// hold the locks of delivery by pointer.

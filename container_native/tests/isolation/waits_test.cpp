@@ -1,11 +1,16 @@
-// A thread that asks again for a mutex between processes that it holds must not wait for itself.
+// A deadline before 1970, the overflow of "no limit", must not become a loop. And a thread that
+// asks again for a mutex between processes that it holds must not wait for itself.
+
+#include "fastdds/waits.hpp"
 
 #include <pthread.h>
 #include <sys/mman.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <array>
 #include <cerrno>
+#include <chrono>
 #include <ctime>
 #include <new>
 #include <thread>
@@ -13,6 +18,79 @@
 #include "check.hpp"
 
 namespace {
+
+namespace fastdds = play_launch::fastdds;
+using namespace std::chrono_literals;
+using Clock = std::chrono::steady_clock;
+
+struct Condition {
+  explicit Condition(clockid_t clock) {
+    pthread_condattr_t attributes;
+    ::pthread_condattr_init(&attributes);
+    ::pthread_condattr_setclock(&attributes, clock);
+    ::pthread_cond_init(&variable, &attributes);
+    ::pthread_condattr_destroy(&attributes);
+  }
+  ~Condition() { ::pthread_cond_destroy(&variable); }
+  Condition(const Condition&) = delete;
+  Condition& operator=(const Condition&) = delete;
+
+  pthread_cond_t variable{};
+  pthread_mutex_t mutex = PTHREAD_MUTEX_INITIALIZER;
+};
+
+timespec in(clockid_t clock, std::chrono::seconds seconds) {
+  timespec time{};
+  ::clock_gettime(clock, &time);
+  time.tv_sec += seconds.count();
+  return time;
+}
+
+void it_pauses_before_it_times_out(clockid_t clock) {
+  constexpr int kRounds = 10;
+  Condition condition(clock);
+  const timespec overflow{-7'461'234'567, 0};
+  const auto began = Clock::now();
+  ::pthread_mutex_lock(&condition.mutex);
+  for (int i = 0; i < kRounds; ++i) {
+    CHECK(fastdds::timedwait(&condition.variable, &condition.mutex, &overflow) == ETIMEDOUT);
+  }
+  ::pthread_mutex_unlock(&condition.mutex);
+  CHECK(Clock::now() - began >= kRounds * 5ms);
+}
+
+void a_deadline_that_has_passed_times_out(clockid_t clock) {
+  Condition condition(clock);
+  const timespec passed = in(clock, -1s);
+  const timespec epoch{0, 0};
+  ::pthread_mutex_lock(&condition.mutex);
+  for (const timespec* deadline : {&passed, &epoch}) {
+    CHECK(fastdds::timedwait(&condition.variable, &condition.mutex, deadline) == ETIMEDOUT);
+  }
+  ::pthread_mutex_unlock(&condition.mutex);
+}
+
+/// Notified in time, it does not time out; a loop that waits without limit ends.
+void a_notification_ends_it(clockid_t clock) {
+  Condition condition(clock);
+  const std::array<timespec, 2> deadlines{in(clock, 3600s), {-7'461'234'567, 0}};
+  for (const timespec& deadline : deadlines) {
+    bool is_over = false;
+    ::pthread_mutex_lock(&condition.mutex);
+    std::thread notifier([&] {
+      ::pthread_mutex_lock(&condition.mutex);
+      is_over = true;
+      ::pthread_mutex_unlock(&condition.mutex);
+      ::pthread_cond_signal(&condition.variable);
+    });
+    while (!is_over) {
+      const int result = fastdds::timedwait(&condition.variable, &condition.mutex, &deadline);
+      CHECK(result == 0 || (result == ETIMEDOUT && deadline.tv_sec < 0));
+    }
+    ::pthread_mutex_unlock(&condition.mutex);
+    notifier.join();
+  }
+}
 
 struct Mutex {
   Mutex(int type, int sharing) {
@@ -36,16 +114,16 @@ struct Mutex {
       ++deadline.tv_sec;
       deadline.tv_nsec -= 1'000'000'000;
     }
-    return ::pthread_mutex_timedlock(&mutex, &deadline);
+    return fastdds::timedlock(&mutex, &deadline);
   }
-  int unlock() { return ::pthread_mutex_unlock(&mutex); }
+  int unlock() { return fastdds::unlock(&mutex); }
   /// Whether another thread can take it, and gives it back.
   bool is_free() {
     bool taken = false;
     std::thread([&] {
       taken = ::pthread_mutex_trylock(&mutex) == 0;
       if (taken) {
-        ::pthread_mutex_unlock(&mutex);
+        fastdds::unlock(&mutex);
       }
     }).join();
     return taken;
@@ -109,6 +187,11 @@ void others_are_as_always() {
 }  // namespace
 
 int main() {
+  for (const clockid_t clock : {CLOCK_REALTIME, CLOCK_MONOTONIC}) {
+    it_pauses_before_it_times_out(clock);
+    a_deadline_that_has_passed_times_out(clock);
+    a_notification_ends_it(clock);
+  }
   it_is_got_again_and_given_back_once(PTHREAD_MUTEX_DEFAULT);
   it_is_got_again_and_given_back_once(PTHREAD_MUTEX_NORMAL);
   another_one_between_does_not_matter();

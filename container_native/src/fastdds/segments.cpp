@@ -1,4 +1,4 @@
-#include "base/fastdds_segments.hpp"
+#include "fastdds/segments.hpp"
 
 #include <unistd.h>
 

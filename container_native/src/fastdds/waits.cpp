@@ -1,0 +1,209 @@
+#include "fastdds/waits.hpp"
+
+#include <link.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+#include <array>
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <string_view>
+
+#include "base/next_function.hpp"
+
+namespace play_launch::fastdds {
+namespace {
+
+const auto next_timedwait = next_function<"pthread_cond_timedwait">(&pthread_cond_timedwait);
+const auto next_unlock = next_function<"pthread_mutex_unlock">(&pthread_mutex_unlock);
+
+timespec after_pause() noexcept {
+  constexpr long kPause = 10'000'000;  // ns
+  constexpr long kSecond = 1'000'000'000;
+  timespec time{};
+  ::clock_gettime(CLOCK_MONOTONIC, &time);
+  time.tv_nsec += kPause;
+  if (time.tv_nsec >= kSecond) {
+    time.tv_nsec -= kSecond;
+    ++time.tv_sec;
+  }
+  return time;
+}
+
+// The kind of a mutex in the C library (nptl/pthreadP.h): PTHREAD_MUTEX_PSHARED_BIT, with 0 for the
+// type of one that is neither recursive nor checked, robust or with priorities. Above is elision.
+constexpr int kKinds = 0xff;
+constexpr int kShared = 0x80;
+
+/// The last mutex between processes that this thread has taken here, and how often besides. A
+/// thread that died with it may have left it to the next one on its stack, so it holds only for the
+/// owner.
+struct Held {
+  const pthread_mutex_t* mutex = nullptr;
+  unsigned again = 0;
+};
+constinit thread_local Held held;
+
+}  // namespace
+
+int timedwait(pthread_cond_t* condition, pthread_mutex_t* mutex, const timespec* deadline) {
+  if (deadline->tv_sec >= 0) {
+    return next_timedwait.get()(condition, mutex, deadline);
+  }
+  // Names its clock, as the variable's own is not known here.
+  const timespec time = after_pause();
+  return ::pthread_cond_clockwait(condition, mutex, CLOCK_MONOTONIC, &time);
+}
+
+int timedlock(pthread_mutex_t* mutex, const timespec* deadline) noexcept {
+  if (held.mutex == mutex && mutex->__data.__owner == ::gettid()) {
+    ++held.again;
+    return 0;
+  }
+  const int result = ::pthread_mutex_clocklock(mutex, CLOCK_REALTIME, deadline);
+  if (result == 0 && (mutex->__data.__kind & kKinds) == kShared) {
+    held = {mutex, 0};
+  }
+  return result;
+}
+
+int unlock(pthread_mutex_t* mutex) noexcept {
+  if (held.mutex == mutex) [[unlikely]] {
+    if (held.again > 0 && mutex->__data.__owner == ::gettid()) {
+      --held.again;
+      return 0;
+    }
+    held = {};
+  }
+  return next_unlock.get()(mutex);
+}
+
+namespace {
+
+#if defined(__x86_64__)
+constexpr std::array<std::uint32_t, 2> kFunction{R_X86_64_JUMP_SLOT, R_X86_64_GLOB_DAT};
+#else
+constexpr std::array<std::uint32_t, 2> kFunction{R_AARCH64_JUMP_SLOT, R_AARCH64_GLOB_DAT};
+#endif
+
+/// What stands instead of a function of that name; 0: nothing.
+std::uintptr_t replacement(std::string_view name) noexcept {
+  if (name == "pthread_cond_timedwait") {
+    return reinterpret_cast<std::uintptr_t>(&timedwait);
+  }
+  if (name == "pthread_mutex_timedlock") {
+    return reinterpret_cast<std::uintptr_t>(&timedlock);
+  }
+  return name == "pthread_mutex_unlock" ? reinterpret_cast<std::uintptr_t>(&unlock) : 0;
+}
+
+bool is_in_read_only_part(const dl_phdr_info& object, std::uintptr_t address) noexcept {
+  for (const ElfW(Phdr) & part : std::span(object.dlpi_phdr, object.dlpi_phnum)) {
+    if (part.p_type == PT_GNU_RELRO && address - (object.dlpi_addr + part.p_vaddr) < part.p_memsz) {
+      return true;
+    }
+  }
+  return false;
+}
+
+/// False when the kernel refuses to have it written.
+bool replace(const dl_phdr_info& object, std::uintptr_t slot, std::uintptr_t function) noexcept {
+  const auto page_size = static_cast<std::uintptr_t>(::sysconf(_SC_PAGESIZE));
+  auto* const page = reinterpret_cast<void*>(slot & ~(page_size - 1));
+  // Libraries whose calls were bound when they were loaded have their table protected since.
+  const bool is_protected = is_in_read_only_part(object, slot);
+  if (is_protected && ::mprotect(page, page_size, PROT_READ | PROT_WRITE) != 0) {
+    return false;
+  }
+  // Other threads may be calling through it.
+  std::atomic_ref(*reinterpret_cast<std::uintptr_t*>(slot)).store(function);
+  if (is_protected) {
+    ::mprotect(page, page_size, PROT_READ);
+  }
+  return true;
+}
+
+/// True when any of its calls was replaced.
+bool replace_calls(const dl_phdr_info& object, const ElfW(Dyn) * entry) noexcept {
+  const ElfW(Sym)* symbols = nullptr;
+  const char* names = nullptr;
+  std::array<const ElfW(Rela)*, 2> tables{};  // of calls, and of other addresses
+  std::array<std::size_t, 2> sizes{};
+  for (; entry->d_tag != DT_NULL; ++entry) {
+    const std::uintptr_t address = entry->d_un.d_ptr;
+    switch (entry->d_tag) {
+      case DT_SYMTAB:
+        symbols = reinterpret_cast<const ElfW(Sym)*>(address);
+        break;
+      case DT_STRTAB:
+        names = reinterpret_cast<const char*>(address);
+        break;
+      case DT_JMPREL:
+        tables[0] = reinterpret_cast<const ElfW(Rela)*>(address);
+        break;
+      case DT_PLTRELSZ:
+        sizes[0] = entry->d_un.d_val;
+        break;
+      case DT_RELA:
+        tables[1] = reinterpret_cast<const ElfW(Rela)*>(address);
+        break;
+      case DT_RELASZ:
+        sizes[1] = entry->d_un.d_val;
+        break;
+      default:
+        break;
+    }
+  }
+  bool any = false;
+  for (std::size_t table = 0; table < tables.size(); ++table) {
+    for (const ElfW(Rela) & each : std::span(tables[table], sizes[table] / sizeof(ElfW(Rela)))) {
+      if (ELF64_R_TYPE(each.r_info) != kFunction[table]) {
+        continue;
+      }
+      const char* const name = names + symbols[ELF64_R_SYM(each.r_info)].st_name;
+      const std::uintptr_t function = replacement(name);
+      any |= function != 0 && replace(object, object.dlpi_addr + each.r_offset, function);
+    }
+  }
+  return any;
+}
+
+struct Search {
+  std::string_view prefix;
+  int replaced = 0;
+};
+
+int visit(dl_phdr_info* object, std::size_t, void* argument) noexcept {
+  auto& search = *static_cast<Search*>(argument);
+  // Nothing here may need the C++ library, which a process that preloads this may lack.
+  std::string_view name = object->dlpi_name;
+  name.remove_prefix(name.rfind('/') + 1);
+  if (!name.starts_with(search.prefix)) {
+    return 0;
+  }
+  for (const ElfW(Phdr) & part : std::span(object->dlpi_phdr, object->dlpi_phnum)) {
+    if (part.p_type == PT_DYNAMIC) {
+      const auto* const dynamic =
+          reinterpret_cast<const ElfW(Dyn)*>(object->dlpi_addr + part.p_vaddr);
+      search.replaced += replace_calls(*object, dynamic) ? 1 : 0;
+    }
+  }
+  return 0;
+}
+
+}  // namespace
+
+int replace_waits(const char* prefix) noexcept {
+  Search search{prefix};
+  ::dl_iterate_phdr(visit, &search);
+  return search.replaced;
+}
+
+void replace_waits() noexcept {
+  replace_waits("libfastrtps.so");  // version 2
+  replace_waits("libfastdds.so");
+}
+
+}  // namespace play_launch::fastdds

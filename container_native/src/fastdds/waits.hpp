@@ -1,0 +1,41 @@
+#pragma once
+
+#include <pthread.h>
+
+#include <ctime>
+
+/// What Fast DDS waits with, instead of the C library's functions of these names.
+namespace play_launch::fastdds {
+
+/// pthread_cond_timedwait() that pauses for 10 ms where the deadline is before 1970.
+///
+/// Where std::condition_variable waits by the steady clock without limit (time_point::max()),
+/// libstdc++ without pthread_cond_clockwait(), which libraries for old systems are built with, as
+/// the ROS wheels are, adds the difference of two clocks to it. The sum overflows: a deadline long
+/// before 1970. The wait returns at once, finds that the time has not come, and waits again. Fast
+/// DDS does so when a participant goes while a discovery callback runs
+/// (DomainParticipantImpl::set_listener() of version 2.14), and it keeps the mutex from the very
+/// thread that it waits for: containers that were stopped during discovery took a processor for a
+/// second or more. The pause is late, as POSIX allows, so that the mutex is free meanwhile.
+int timedwait(pthread_cond_t* condition, pthread_mutex_t* mutex, const timespec* deadline);
+
+/// pthread_mutex_timedlock() that gives a thread a plain mutex between processes again which it
+/// holds already; the first of the two unlocks then does nothing.
+///
+/// Where the reader of a queue in shared memory dies, or looks dead, in the midst of a message,
+/// each of its writers looks for what it was reading, under the queue's mutex, and takes the same
+/// mutex once more to note that it has found it
+/// (SharedMemGlobal::Port::get_and_remove_blocked_processing() of Fast DDS, in version 2.14 and
+/// since). That waits for itself, for the second that Fast DDS gives each lock, then the note is
+/// missing, it finds the same again, without end: the process goes on publishing nothing, and
+/// a process that shares the queue waits a second for each of its locks.
+int timedlock(pthread_mutex_t* mutex, const timespec* deadline) noexcept;
+int unlock(pthread_mutex_t* mutex) noexcept;
+
+/// Has the loaded libraries whose file names begin so call these functions; returns how many do.
+int replace_waits(const char* prefix) noexcept;
+
+/// The same for Fast DDS of all versions; to be called once it is loaded, so after rcl_init().
+void replace_waits() noexcept;
+
+}  // namespace play_launch::fastdds
