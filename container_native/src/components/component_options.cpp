@@ -1,5 +1,6 @@
 #include "components/component_options.hpp"
 
+#include <cxxabi.h>
 #include <rcl/arguments.h>
 #include <rcl/error_handling.h>
 #include <rmw/error_handling.h>
@@ -8,8 +9,14 @@
 
 #include <algorithm>
 #include <array>
+#include <cstddef>
+#include <exception>
 #include <rcl_interfaces/msg/parameter_type.hpp>
+#include <string>
 #include <string_view>
+#include <typeinfo>
+
+#include "base/elf.hpp"
 
 namespace play_launch::container {
 namespace {
@@ -135,6 +142,55 @@ std::optional<std::string> expected_full_name(const LoadRequest& request) {
   }
   const std::string name_space = absolute(request.node_namespace);
   return (name_space == "/" ? "" : name_space) + "/" + request.node_name;
+}
+
+namespace {
+
+/// Bytes. A text that is too long for a frame would be dropped whole, and this much is not read.
+constexpr std::size_t kLongestText = 16 * 1024;
+
+/// At most that of it, cut between two characters (UTF-8).
+std::string shortened(std::string text) {
+  if (text.size() <= kLongestText) {
+    return text;
+  }
+  const auto continues = [](char byte) {
+    return (static_cast<unsigned char>(byte) & 0xc0) == 0x80;
+  };
+  const std::string whole = std::to_string(text.size());
+  std::size_t end = kLongestText;
+  while (end > 0 && continues(text[end])) {
+    --end;
+  }
+  text.resize(end);
+  return text + "... (cut, of " + whole + " bytes)";
+}
+
+std::string describe(const std::exception& error) {
+  std::string text = demangled(typeid(error).name()) + ": " + error.what();
+  try {
+    std::rethrow_if_nested(error);
+  } catch (const std::exception& cause) {
+    text += "; caused by " + describe(cause);
+  } catch (...) {
+    text += "; caused by something that is no std::exception";
+  }
+  return text;
+}
+
+}  // namespace
+
+std::string describe_current_exception() {
+  try {
+    throw;
+  } catch (const LoadError& error) {
+    return error.what();
+  } catch (const std::exception& error) {
+    return shortened(describe(error));
+  } catch (...) {
+    const std::type_info* type = abi::__cxa_current_exception_type();
+    return "an exception of type " + (type != nullptr ? demangled(type->name()) : "unknown");
+  }
 }
 
 }  // namespace play_launch::container

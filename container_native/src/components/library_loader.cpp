@@ -13,7 +13,7 @@
 #include <cstdlib>
 
 #include "base/report.hpp"
-#include "isolation/record/survive.hpp"
+#include "isolation/record/own_signals.hpp"
 #include "overrides/exit_guard.hpp"
 #include "overrides/type_supports.hpp"
 

@@ -14,7 +14,7 @@
 #include <utility>
 
 #include "components/component_backend.hpp"
-#include "isolation/record/alternate_stack.hpp"
+#include "isolation/record/child_threads.hpp"
 
 namespace play_launch::container {
 

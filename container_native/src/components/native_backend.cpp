@@ -4,7 +4,7 @@
 
 #include <map>
 #include <play_launch/component_registry.hpp>
-#include <play_launch/detail/executor_access.hpp>
+#include <play_launch/detail/context_access.hpp>
 #include <play_launch/executor.hpp>
 #include <play_launch/node.hpp>
 #include <utility>

@@ -12,7 +12,7 @@
 #include <system_error>
 #include <utility>
 
-#include "base/doorbell.hpp"
+#include "base/unique_fd.hpp"
 
 namespace play_launch::control {
 namespace {

@@ -15,7 +15,7 @@
 #include <vector>
 
 #include "base/unique_fd.hpp"
-#include "control/frame_codec.hpp"
+#include "control/frames.hpp"
 
 namespace play_launch::control {
 

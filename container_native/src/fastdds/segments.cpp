@@ -8,7 +8,7 @@
 #include <cstddef>
 #include <string_view>
 
-#include "base/number_list.hpp"
+#include "base/process.hpp"
 
 namespace play_launch {
 namespace {

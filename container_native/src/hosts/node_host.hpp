@@ -7,8 +7,8 @@
 #include <string>
 #include <vector>
 
-#include "base/process_identity.hpp"
-#include "components/load_request.hpp"
+#include "base/process.hpp"
+#include "components/component_options.hpp"
 
 namespace play_launch::container {
 

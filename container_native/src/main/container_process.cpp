@@ -8,20 +8,21 @@
 #include <array>
 #include <chrono>
 #include <cstdio>
+#include <cstdlib>
+#include <exception>
+#include <play_launch/detail/running_node.hpp>
 #include <string>
 #include <utility>
 #include <vector>
 
-#include "base/cpus.hpp"
 #include "base/failpoints.hpp"
-#include "base/orphan_grace.hpp"
+#include "base/process.hpp"
 #include "base/report.hpp"
+#include "base/scheduling.hpp"
 #include "fastdds/waits.hpp"
 #include "isolation/crash/symbolise.hpp"
-#include "main/backends.hpp"
-#include "main/exit_status.hpp"
 #include "main/host_choice.hpp"
-#include "main/uncaught.hpp"
+#include "main/stop.hpp"
 
 namespace play_launch::container {
 namespace {
@@ -52,6 +53,18 @@ int exit_code(StopCause cause, bool hosted) {
     return hosted ? kExitOk : kExitContext;  // in a process of its own, the node may end itself
   }
   return cause == StopCause::protocol_error ? kExitProtocol : kExitOk;
+}
+
+std::terminate_handler next_terminate_handler = nullptr;
+
+/// An exception that no code of a node catches ends the process of the node, or the container where
+/// nodes have none of their own: the log has whose callback threw what.
+[[noreturn]] void on_terminate() {
+  detail::RunningNode::log_uncaught_exception();
+  if (next_terminate_handler != nullptr) {
+    next_terminate_handler();
+  }
+  std::abort();
 }
 
 std::string seconds_text(Clock::duration duration) {
@@ -103,7 +116,7 @@ void ContainerProcess::start(int argc, const char* const* argv) {
     crash_watch_.emplace(
         [this](const isolation::CrashSlot& slot) { control_->on_event(own_crash(slot)); });
   }
-  name_nodes_that_throw();  // before the handler that the host has set
+  next_terminate_handler = std::set_terminate(on_terminate);  // the one that the host has set
   manager_ = std::make_unique<ObservableComponentManager>(*host_, process_);
   if (node_) {
     ros_ = std::make_unique<RosInterface>(node_, *manager_, control_.has_value());

@@ -23,7 +23,7 @@
 #include "base/failpoints.hpp"
 #include "base/report.hpp"
 #include "base/unique_fd.hpp"
-#include "control/messages.hpp"
+#include "control/frames.hpp"
 
 namespace play_launch::container {
 namespace {

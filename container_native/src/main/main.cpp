@@ -1,20 +1,21 @@
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
+#include <filesystem>
 #include <string>
+#include <system_error>
 
-#include "base/core_limit.hpp"
 #include "base/failpoints.hpp"
+#include "base/process.hpp"
 #include "base/report.hpp"
 #include "base/resource_setting.hpp"
 #include "isolation/memory/protection_keys.hpp"
-#include "main/backends.hpp"
 #include "main/container_process.hpp"
 #include "main/control_interface.hpp"
-#include "main/exit_status.hpp"
-#include "main/installation.hpp"
+#include "main/host_choice.hpp"
 #include "main/options.hpp"
 #include "main/probe.hpp"
+#include "main/stop.hpp"
 
 namespace {
 
@@ -46,6 +47,26 @@ bool apply_resources(const Options& options) {
     report("the memory is not locked: it takes RLIMIT_MEMLOCK unlimited, or CAP_IPC_LOCK");
   }
   return true;
+}
+
+/// Adds the prefix that this program is installed in to AMENT_PREFIX_PATH, behind the others: the
+/// components installed beside the container are found also without a set-up environment.
+void search_own_prefix() {
+  constexpr const char* kPrefixPath = "AMENT_PREFIX_PATH";
+  constexpr const char* kFolder = "lib/play_launch_container";  // below the prefix
+  std::error_code error;
+  const std::filesystem::path program = std::filesystem::read_symlink("/proc/self/exe", error);
+  const std::filesystem::path prefix = program.parent_path().parent_path().parent_path();
+  if (error || program.parent_path() != prefix / kFolder) {
+    return;  // run from a build folder
+  }
+  const char* const value = std::getenv(kPrefixPath);
+  const std::string paths = value == nullptr ? "" : value;
+  if ((":" + paths + ":").find(":" + prefix.string() + ":") != std::string::npos) {
+    return;
+  }
+  ::setenv(kPrefixPath, (paths.empty() ? prefix.string() : paths + ":" + prefix.string()).c_str(),
+           1);
 }
 
 int run(int argc, char** argv) {

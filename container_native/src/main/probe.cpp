@@ -20,8 +20,8 @@
 #include "isolation/clone/donor_thread.hpp"
 #include "isolation/crash/crash_handler.hpp"
 #include "isolation/crash/symbolise.hpp"
-#include "main/backends.hpp"
-#include "main/exit_status.hpp"
+#include "main/host_choice.hpp"
+#include "main/stop.hpp"
 
 namespace play_launch::container {
 namespace {

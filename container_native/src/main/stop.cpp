@@ -9,8 +9,8 @@
 #include <cerrno>
 #include <cstdint>
 
-#include "base/doorbell.hpp"
 #include "base/report.hpp"
+#include "base/unique_fd.hpp"
 #include "fastdds/segments.hpp"
 
 namespace play_launch::container {

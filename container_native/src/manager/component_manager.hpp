@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "components/load_request.hpp"
+#include "components/component_options.hpp"
 #include "hosts/node_host.hpp"
 #include "manager/node_table.hpp"
 

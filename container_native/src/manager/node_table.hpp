@@ -11,7 +11,7 @@
 #include <unordered_map>
 #include <vector>
 
-#include "base/process_identity.hpp"
+#include "base/process.hpp"
 
 namespace play_launch::container {
 

@@ -5,6 +5,10 @@
 // And what initialises something once for all: pthread_once(), by which std::call_once() works, and
 // the guards of function-local static variables. Whatever a child was initialising when it died is
 // begun anew by the next to come, instead of being waited for without an end.
+//
+// And pthread_cond_destroy(): the C library's waits until every thread that sleeps in the variable
+// has left it, which threads of a dead child never do. So a child that cleans up after a dead one
+// does not destroy condition variables; they own nothing.
 
 #include <cxxabi.h>
 #include <pthread.h>
@@ -28,6 +32,7 @@ const play_launch::NextFunction<"pthread_create",
                                 int(pthread_t*, const pthread_attr_t*, Routine, void*)>
     next_create;
 
+const play_launch::NextFunction<"pthread_cond_destroy", int(pthread_cond_t*)> next_destroy;
 const play_launch::NextFunction<"pthread_once", int(pthread_once_t*, void (*)())> next_once;
 const play_launch::NextFunction<"__cxa_guard_acquire", int(abi::__guard*)> next_acquire;
 const play_launch::NextFunction<"__cxa_guard_release", void(abi::__guard*)> next_release;
@@ -147,4 +152,10 @@ extern "C" [[gnu::visibility("default")]] int pthread_create(pthread_t* thread,
     delete start;
   }
   return error;
+}
+
+extern "C" [[gnu::visibility("default")]] int pthread_cond_destroy(
+    pthread_cond_t* condition) noexcept {
+  const auto* const child = current_child();
+  return child != nullptr && child->after_death ? 0 : next_destroy.get()(condition);
 }

@@ -6,7 +6,6 @@
 #include <play_launch/callback_group.hpp>
 #include <play_launch/context.hpp>
 #include <play_launch/detail/context_access.hpp>
-#include <play_launch/detail/executor_access.hpp>
 #include <play_launch/detail/forget.hpp>
 #include <play_launch/detail/running_node.hpp>
 #include <play_launch/executor.hpp>

@@ -11,7 +11,6 @@
 
 #include "arguments.hpp"
 #include "handles.hpp"
-#include "parameter_server.hpp"
 #include "parameter_store.hpp"
 #include "ready_queue.hpp"
 

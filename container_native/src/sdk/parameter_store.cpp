@@ -1,10 +1,20 @@
 #include "parameter_store.hpp"
 
 #include <rcutils/time.h>
+#include <rmw/qos_profiles.h>
 
 #include <algorithm>
+#include <array>
 #include <play_launch/error.hpp>
+#include <play_launch/node.hpp>
+#include <play_launch/parameter.hpp>
+#include <rcl_interfaces/msg/parameter_type.hpp>
+#include <rcl_interfaces/srv/describe_parameters.hpp>
+#include <rcl_interfaces/srv/get_parameter_types.hpp>
+#include <rcl_interfaces/srv/get_parameters.hpp>
 #include <rcl_interfaces/srv/list_parameters.hpp>
+#include <rcl_interfaces/srv/set_parameters.hpp>
+#include <rcl_interfaces/srv/set_parameters_atomically.hpp>
 #include <utility>
 
 namespace play_launch {
@@ -180,5 +190,174 @@ void ParameterStore::announce(rcl_interfaces::msg::ParameterEvent event) const {
   event.node = full_name_;
   events_->publish(event);
 }
+
+namespace {
+
+using Type = rcl_interfaces::msg::ParameterType;
+using Message = rcl_interfaces::msg::ParameterValue;
+
+constexpr std::array<const char*, 10> kTypeNames = {
+    "not set",    "bool",       "integer",       "double",       "string",
+    "byte_array", "bool_array", "integer_array", "double_array", "string_array"};
+static_assert(kTypeNames.size() == std::variant_size_v<ParameterValue>);
+static_assert(Type::PARAMETER_STRING_ARRAY == kTypeNames.size() - 1);
+
+struct Fill {
+  Message& message;
+  void operator()(std::monostate) const {}
+  void operator()(bool value) const { message.bool_value = value; }
+  void operator()(std::int64_t value) const { message.integer_value = value; }
+  void operator()(double value) const { message.double_value = value; }
+  void operator()(const std::string& value) const { message.string_value = value; }
+  void operator()(const std::vector<std::uint8_t>& value) const {
+    message.byte_array_value = value;
+  }
+  void operator()(const std::vector<bool>& value) const { message.bool_array_value = value; }
+  void operator()(const std::vector<std::int64_t>& value) const {
+    message.integer_array_value = value;
+  }
+  void operator()(const std::vector<double>& value) const { message.double_array_value = value; }
+  void operator()(const std::vector<std::string>& value) const {
+    message.string_array_value = value;
+  }
+};
+
+}  // namespace
+
+const char* parameter_type_name(std::size_t type) noexcept {
+  return type < kTypeNames.size() ? kTypeNames[type] : "unknown";
+}
+
+Message to_message(const ParameterValue& value) {
+  Message message;
+  message.type = static_cast<std::uint8_t>(value.index());
+  std::visit(Fill{message}, value);
+  return message;
+}
+
+rcl_interfaces::msg::Parameter to_message(const Parameter& parameter) {
+  rcl_interfaces::msg::Parameter message;
+  message.name = parameter.name;
+  message.value = to_message(parameter.value);
+  return message;
+}
+
+ParameterValue from_message(const Message& message) {
+  switch (message.type) {
+    case Type::PARAMETER_BOOL:
+      return message.bool_value;
+    case Type::PARAMETER_INTEGER:
+      return message.integer_value;
+    case Type::PARAMETER_DOUBLE:
+      return message.double_value;
+    case Type::PARAMETER_STRING:
+      return message.string_value;
+    case Type::PARAMETER_BYTE_ARRAY:
+      return message.byte_array_value;
+    case Type::PARAMETER_BOOL_ARRAY:
+      return message.bool_array_value;
+    case Type::PARAMETER_INTEGER_ARRAY:
+      return message.integer_array_value;
+    case Type::PARAMETER_DOUBLE_ARRAY:
+      return message.double_array_value;
+    case Type::PARAMETER_STRING_ARRAY:
+      return message.string_array_value;
+    default:
+      return std::monostate();
+  }
+}
+
+Parameter from_message(const rcl_interfaces::msg::Parameter& message) {
+  return {message.name, from_message(message.value)};
+}
+
+std::vector<Parameter> from_messages(const std::vector<rcl_interfaces::msg::Parameter>& messages) {
+  std::vector<Parameter> parameters;
+  parameters.reserve(messages.size());
+  for (const auto& message : messages) parameters.push_back(from_message(message));
+  return parameters;
+}
+
+namespace {
+
+using namespace rcl_interfaces::srv;  // NOLINT(google-build-using-namespace)
+using Store = std::shared_ptr<ParameterStore>;
+
+rcl_interfaces::msg::SetParametersResult to_result(SetParametersVerdict verdict) {
+  rcl_interfaces::msg::SetParametersResult result;
+  result.successful = verdict.ok;
+  result.reason = std::move(verdict.reason);
+  return result;
+}
+
+// The answers have one element per name asked for; "not set" stands for undeclared.
+
+auto describe(const Store& store) {
+  return
+      [store](const DescribeParameters::Request& request, DescribeParameters::Response& response) {
+        for (const auto& name : request.names) {
+          auto descriptor = store->describe(name);
+          if (!descriptor) descriptor.emplace().name = name;
+          response.descriptors.push_back(std::move(*descriptor));
+        }
+      };
+}
+
+auto get(const Store& store) {
+  return [store](const GetParameters::Request& request, GetParameters::Response& response) {
+    for (const auto& name : request.names) {
+      response.values.push_back(to_message(store->get(name).value_or(ParameterValue())));
+    }
+  };
+}
+
+auto get_types(const Store& store) {
+  return [store](const GetParameterTypes::Request& request, GetParameterTypes::Response& response) {
+    for (const auto& name : request.names) {
+      const auto value = store->get(name).value_or(ParameterValue());
+      response.types.push_back(static_cast<std::uint8_t>(value.index()));
+    }
+  };
+}
+
+auto list(const Store& store) {
+  return [store](const ListParameters::Request& request, ListParameters::Response& response) {
+    response.result = store->list(request.prefixes, request.depth);
+  };
+}
+
+auto set(const Store& store) {
+  return [store](const SetParameters::Request& request, SetParameters::Response& response) {
+    for (const auto& parameter : request.parameters) {
+      response.results.push_back(to_result(store->set({from_message(parameter)})));
+    }
+  };
+}
+
+auto set_atomically(const Store& store) {
+  return [store](const SetParametersAtomically::Request& request,
+                 SetParametersAtomically::Response& response) {
+    response.result = to_result(store->set(from_messages(request.parameters)));
+  };
+}
+
+}  // namespace
+
+ParameterServer::ParameterServer(Node& node, const std::shared_ptr<ParameterStore>& store) {
+  const QoS qos(rmw_qos_profile_parameters);
+  services_ = {
+      node.create_service<DescribeParameters>("~/describe_parameters", describe(store), nullptr,
+                                              qos),
+      node.create_service<GetParameterTypes>("~/get_parameter_types", get_types(store), nullptr,
+                                             qos),
+      node.create_service<GetParameters>("~/get_parameters", get(store), nullptr, qos),
+      node.create_service<ListParameters>("~/list_parameters", list(store), nullptr, qos),
+      node.create_service<SetParameters>("~/set_parameters", set(store), nullptr, qos),
+      node.create_service<SetParametersAtomically>("~/set_parameters_atomically",
+                                                   set_atomically(store), nullptr, qos),
+  };
+}
+
+ParameterServer::~ParameterServer() = default;
 
 }  // namespace play_launch

@@ -6,14 +6,19 @@
 #include <unistd.h>
 
 #include <array>
+#include <cerrno>
+#include <chrono>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <map>
 #include <memory>
 #include <string>
+#include <system_error>
+#include <thread>
 
 #include "base/unique_fd.hpp"
 
@@ -100,6 +105,42 @@ void kill_descendants(const std::set<pid_t>& spared) {
   // parents are killed in the same breath: until then, the pid is not reused.
   for (const pid_t pid : living_descendants(spared)) {
     ::kill(pid, SIGKILL);
+  }
+}
+
+namespace {
+
+using std::chrono::steady_clock;
+
+constexpr std::chrono::seconds kLimit{5};
+constexpr std::chrono::milliseconds kRound{2};
+
+/// From below to above; false when a process is still in one of them.
+bool remove_tree(const std::filesystem::path& folder) {
+  std::error_code error;
+  for (const auto& entry : std::filesystem::directory_iterator(folder, error)) {
+    std::error_code ignored;
+    if (entry.is_directory(ignored)) {
+      remove_tree(entry.path());
+    }
+  }
+  return ::rmdir(folder.c_str()) == 0 || errno != EBUSY;
+}
+
+}  // namespace
+
+void remove_group(const UniqueFd& folder) {
+  std::error_code error;
+  // Its name: a removed group has none.
+  const auto path =
+      std::filesystem::read_symlink("/proc/self/fd/" + std::to_string(folder.get()), error);
+  const auto deadline = steady_clock::now() + kLimit;
+  while (!error && !remove_tree(path) && steady_clock::now() < deadline) {
+    const UniqueFd kill(::openat(folder.get(), "cgroup.kill", O_WRONLY | O_CLOEXEC));
+    if (!kill || ::write(kill.get(), "1", 1) != 1) {
+      return;
+    }
+    std::this_thread::sleep_for(kRound);
   }
 }
 

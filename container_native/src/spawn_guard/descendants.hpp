@@ -5,6 +5,8 @@
 #include <set>
 #include <vector>
 
+#include "base/unique_fd.hpp"
+
 namespace play_launch::guard {
 
 /// What is below this process, at any depth, and lives.
@@ -18,5 +20,9 @@ std::vector<pid_t> children();
 
 /// Sends SIGKILL to what is below this process, but for `spared` and what is below those.
 void kill_descendants(const std::set<pid_t>& spared);
+
+/// Removes a control group and those below it with whatever is in them, as far as that dies within
+/// some seconds. `folder` is open for reading.
+void remove_group(const UniqueFd& folder);
 
 }  // namespace play_launch::guard

@@ -15,7 +15,7 @@
 #include <cstdlib>
 #include <cstring>
 
-#include "spawn_guard/command.hpp"
+#include "spawn_guard/command_file.hpp"
 #include "spawn_guard/session.hpp"
 
 namespace {

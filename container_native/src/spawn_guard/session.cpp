@@ -14,20 +14,62 @@
 #include <cerrno>
 #include <chrono>
 #include <cstdint>
+#include <cstring>
 #include <set>
 #include <span>
 
-#include "base/orphan_grace.hpp"
+#include "base/process.hpp"
 #include "base/unique_fd.hpp"
-#include "spawn_guard/command.hpp"
 #include "spawn_guard/command_file.hpp"
-#include "spawn_guard/control_group.hpp"
 #include "spawn_guard/descendants.hpp"
-#include "spawn_guard/descriptor_message.hpp"
 
 namespace play_launch::guard {
 
 namespace {
+
+/// What a SOCK_SEQPACKET carries in one piece: native-endian 32-bit integers, and descriptors.
+struct DescriptorMessage {
+  static constexpr std::size_t kMostDescriptors = 20;
+  static constexpr std::size_t kMostNumbers = kMostDescriptors + 4;
+
+  std::vector<std::int32_t> numbers;
+  std::vector<UniqueFd> descriptors;
+
+  /// False at the end of the socket, and when nothing can be received.
+  bool receive(int socket);
+};
+
+bool DescriptorMessage::receive(int socket) {
+  numbers.clear();
+  descriptors.clear();
+  std::array<std::int32_t, kMostNumbers> content{};
+  alignas(cmsghdr) std::array<char, CMSG_SPACE(kMostDescriptors * sizeof(int))> control{};
+  iovec part{content.data(), sizeof content};
+  msghdr header{};
+  header.msg_iov = &part;
+  header.msg_iovlen = 1;
+  header.msg_control = control.data();
+  header.msg_controllen = control.size();
+  ssize_t size = 0;
+  do {
+    size = ::recvmsg(socket, &header, MSG_CMSG_CLOEXEC);
+  } while (size < 0 && errno == EINTR);
+  if (size <= 0) {
+    return false;
+  }
+  for (cmsghdr* each = CMSG_FIRSTHDR(&header); each != nullptr; each = CMSG_NXTHDR(&header, each)) {
+    if (each->cmsg_level == SOL_SOCKET && each->cmsg_type == SCM_RIGHTS) {
+      std::vector<int> fds((each->cmsg_len - CMSG_LEN(0)) / sizeof(int));
+      std::memcpy(fds.data(), CMSG_DATA(each), fds.size() * sizeof(int));
+      for (const int fd : fds) {
+        descriptors.emplace_back(fd);
+      }
+    }
+  }
+  const auto count = static_cast<std::size_t>(size) / sizeof(std::int32_t);
+  numbers.assign(content.begin(), content.begin() + static_cast<std::ptrdiff_t>(count));
+  return true;
+}
 
 using std::chrono::milliseconds;
 using std::chrono::steady_clock;

@@ -3,8 +3,8 @@
 //                [--hold-time NANOSECONDS] [--hold-size BYTES] [--answer-timeout NANOSECONDS]
 //
 // Takes messages of ROS topics as they came over the wire, and hands them as chunks of an MCAP file
-// to the supervisor at the other end of the socket FD, see packet.hpp. A process of its own, so
-// that neither the rate of a camera nor a fault of the middleware disturbs the supervisor.
+// to the supervisor at the other end of the socket FD, see supervisor_link.hpp. A process of its
+// own, so that neither the rate of a camera nor a fault of the middleware disturbs the supervisor.
 
 #include <unistd.h>
 
@@ -13,8 +13,8 @@
 #include <stdexcept>
 
 #include "fastdds/segments.hpp"
-#include "topic_recorder/options.hpp"
 #include "topic_recorder/recorder.hpp"
+#include "topic_recorder/selection.hpp"
 
 int main(int argc, char** argv) {
   using namespace play_launch::topics;

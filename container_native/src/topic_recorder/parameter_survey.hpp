@@ -5,18 +5,67 @@
 #include <cstdint>
 #include <functional>
 #include <list>
+#include <map>
 #include <optional>
 #include <play_launch_msgs/msg/node_parameters.hpp>
 #include <rcl_interfaces/srv/get_parameters.hpp>
 #include <rcl_interfaces/srv/list_parameters.hpp>
+#include <set>
 #include <string>
 #include <vector>
 
-#include "topic_recorder/asking_plan.hpp"
 #include "topic_recorder/chunk.hpp"
 #include "topic_recorder/ros.hpp"
 
 namespace play_launch::topics {
+
+/// Which node is asked for its parameters when: each once in each of its lives, and slowly.
+class AskingPlan {
+ public:
+  using Time = std::chrono::steady_clock::time_point;
+
+  /// How long a node is left alone after it was found.
+  static constexpr std::chrono::seconds kRest{1};
+  static constexpr std::chrono::milliseconds kBetween{50};
+  static constexpr std::size_t kMostAtOnce = 4;
+  /// A node that does not answer is asked once more.
+  static constexpr int kMostFailures = 2;
+
+  /// `before_another` is the pause before that.
+  explicit AskingPlan(std::chrono::nanoseconds before_another) : before_another_(before_another) {}
+
+  /// Takes what the graph holds now.
+  void see(const std::vector<AskableNode>& nodes, Time now);
+  /// A node to ask now; `answered` or `failed` must follow.
+  std::optional<std::string> next(Time now);
+  void answered(const std::string& name, Time now);
+  /// Whether it is given up.
+  bool failed(const std::string& name, Time now);
+  /// When `next` may have one; Time::max() when it will not before something else has happened.
+  [[nodiscard]] Time due() const;
+
+ private:
+  enum class State { waiting, asked, done };
+
+  struct Entry {
+    std::set<AskableNode::Life> lives;
+    State state = State::waiting;
+    /// When it is to be asked, if it is waiting.
+    Time due{};
+    int failures = 0;
+    /// It was found anew while it was asked.
+    bool again = false;
+    bool gone = false;
+  };
+
+  void begin(Entry& entry, Time now);
+  void settle(const std::string& name, State state, Time now);
+
+  const std::chrono::nanoseconds before_another_;
+  std::map<std::string, Entry> entries_;
+  std::size_t asked_ = 0;
+  Time not_before_{};
+};
 
 /// Asks one node which parameters it has, and then what they are.
 class ParameterQuestion {

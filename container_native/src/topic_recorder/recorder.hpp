@@ -9,12 +9,11 @@
 #include <vector>
 
 #include "topic_recorder/chunk.hpp"
-#include "topic_recorder/options.hpp"
 #include "topic_recorder/outbox.hpp"
 #include "topic_recorder/parameter_survey.hpp"
 #include "topic_recorder/recorded_topic.hpp"
 #include "topic_recorder/ros.hpp"
-#include "topic_recorder/session_clock.hpp"
+#include "topic_recorder/selection.hpp"
 #include "topic_recorder/supervisor_link.hpp"
 
 namespace play_launch::topics {

@@ -1,15 +1,28 @@
 #pragma once
 
 #include <rcl/rcl.h>
+#include <rmw/types.h>
 #include <rosidl_runtime_c/message_type_support_struct.h>
 
+#include <array>
 #include <cstdint>
+#include <set>
 #include <string>
 #include <vector>
 
-#include "topic_recorder/asking_plan.hpp"
-
 namespace play_launch::topics {
+
+/// A node of the graph that offers parameter services.
+struct AskableNode {
+  /// Identifies a publisher of /parameter_events, of which a node has a new one in each life.
+  using Life = std::array<std::uint8_t, RMW_GID_STORAGE_SIZE>;
+
+  /// Full name.
+  std::string name;
+  /// Empty when it does not publish there; several when others bear its name, or the one before it
+  /// is not known to be dead yet.
+  std::set<Life> lives;
+};
 
 /// Throws std::runtime_error, with rcl's reason, when a call failed.
 void check(rcl_ret_t result, const std::string& action);

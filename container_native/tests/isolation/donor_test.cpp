@@ -11,7 +11,7 @@
 #include <thread>
 
 #include "harness.hpp"
-#include "isolation/clone/inheritance.hpp"
+#include "isolation/clone/donor_thread.hpp"
 
 namespace {
 

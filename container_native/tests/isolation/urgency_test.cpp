@@ -1,6 +1,6 @@
 // How urgent a process is by what it asks of the kernel, and how its threads put that aside.
 
-#include "base/urgency.hpp"
+#include "base/scheduling.hpp"
 
 #include <sched.h>
 

@@ -6,7 +6,7 @@
 
 #include <atomic>
 
-#include <play_launch/detail/executor_access.hpp>
+#include <play_launch/detail/context_access.hpp>
 #include "check.hpp"
 
 using namespace play_launch;

@@ -1,6 +1,6 @@
 """The socket to a running `topic_recorder`, and its packets.
 
-``container_native/src/topic_recorder/packet.hpp`` is the other end, and describes them.
+``container_native/src/topic_recorder/supervisor_link.hpp`` is the other end, and describes them.
 """
 
 from __future__ import annotations

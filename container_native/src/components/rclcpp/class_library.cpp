@@ -5,7 +5,7 @@
 #include <utility>
 #include <vector>
 
-#include "components/load_request.hpp"
+#include "components/component_options.hpp"
 #include "components/rclcpp/missing_symbols.hpp"
 
 namespace play_launch::rclcpp_backend {

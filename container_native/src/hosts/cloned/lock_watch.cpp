@@ -5,7 +5,7 @@
 
 #include <algorithm>
 
-#include "base/doorbell.hpp"
+#include "base/unique_fd.hpp"
 
 namespace play_launch::container {
 namespace {

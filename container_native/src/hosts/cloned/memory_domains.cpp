@@ -4,7 +4,7 @@
 #include <utility>
 
 #include "base/report.hpp"
-#include "components/load_request.hpp"
+#include "components/component_options.hpp"
 #include "isolation/memory/protection_keys.hpp"
 
 namespace play_launch::container {

@@ -7,7 +7,7 @@
 #include <algorithm>
 #include <utility>
 
-#include "base/doorbell.hpp"
+#include "base/unique_fd.hpp"
 
 namespace play_launch::container {
 

@@ -11,11 +11,10 @@
 #include <utility>
 #include <vector>
 
+#include "base/scheduling.hpp"
 #include "base/unique_fd.hpp"
-#include "base/urgency.hpp"
 #include "components/backend_list.hpp"
 #include "hosts/isolated/isolated_node.hpp"
-#include "hosts/isolated/node_resources.hpp"
 #include "hosts/node_host.hpp"
 
 namespace play_launch::container {

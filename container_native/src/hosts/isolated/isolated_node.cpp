@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <ctime>
 
-#include "base/doorbell.hpp"
 #include "base/report.hpp"
+#include "base/unique_fd.hpp"
 
 namespace play_launch::container {
 

@@ -13,9 +13,9 @@
 #include <cstring>
 #include <system_error>
 
-#include "base/number_list.hpp"
+#include "base/process.hpp"
 #include "base/unique_fd.hpp"
-#include "isolation/record/registry.hpp"
+#include "isolation/record/child_record.hpp"
 
 namespace play_launch::isolation {
 

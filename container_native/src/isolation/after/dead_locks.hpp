@@ -9,7 +9,7 @@
 #include <span>
 #include <string>
 
-#include "isolation/record/graveyard.hpp"
+#include "isolation/record/child_threads.hpp"
 
 namespace play_launch::isolation {
 

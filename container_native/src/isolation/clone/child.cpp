@@ -11,16 +11,14 @@
 #include <cerrno>
 #include <chrono>
 
-#include "base/core_limit.hpp"
-#include "base/process_identity.hpp"
+#include "base/process.hpp"
 #include "isolation/clone/vm_clone.hpp"
 #include "isolation/crash/crash_handler.hpp"
 #include "isolation/memory/protection_keys.hpp"
 #include "isolation/quiesce/quiesce.hpp"
-#include "isolation/record/alternate_stack.hpp"
-#include "isolation/record/graveyard.hpp"
+#include "isolation/record/child_record.hpp"
+#include "isolation/record/child_threads.hpp"
 #include "isolation/record/own_signals.hpp"
-#include "isolation/record/registry.hpp"
 
 namespace play_launch::isolation {
 namespace {

@@ -1,7 +1,7 @@
 #pragma once
 
-#include "isolation/record/child_end.hpp"
 #include "isolation/record/child_record.hpp"
+#include "isolation/record/crash_slot.hpp"
 
 namespace play_launch::isolation {
 

@@ -1,5 +1,7 @@
 #include "isolation/clone/donor_thread.hpp"
 
+#include <dlfcn.h>
+#include <pthread.h>
 #include <signal.h>
 #include <sys/mman.h>
 #include <sys/syscall.h>
@@ -7,17 +9,26 @@
 
 #include <cerrno>
 #include <chrono>
+#include <climits>
+#include <cstdint>
 #include <system_error>
 #include <utility>
 
-#include "isolation/clone/inheritance.hpp"
 #include "isolation/clone/vm_clone.hpp"
 #include "isolation/record/own_signals.hpp"
+
+#if defined(__x86_64__)
+#include <asm/prctl.h>
+#endif
 
 namespace play_launch::isolation {
 namespace {
 
 using namespace std::chrono_literals;
+
+/// mimalloc's function that leaves the calling thread's memory to the surviving threads; null with
+/// another allocator. Async-signal-safe.
+using ThreadDone = void (*)();
 
 constexpr std::size_t kGuardSize = 64 * 1024;  // the largest page
 constexpr auto kGiveBackLimit = 200ms;
@@ -37,10 +48,55 @@ std::size_t default_stack_size() {
   return size;
 }
 
-/// Runs in a child: the allocator's lists for this thread may be broken, or end in themselves.
-int give_back_memory(void* function) {
+// Found when the program starts: later, that could wait for the initialisers of a node's library.
+const auto thread_done = reinterpret_cast<ThreadDone>(::dlsym(RTLD_DEFAULT, "mi_thread_done"));
+
+/// From now on the calling thread finds the thread-local storage of another one, which must be
+/// dead, as its own. Not through the C library, which looks up errno there.
+[[gnu::always_inline]] inline void become(std::uintptr_t thread_pointer) noexcept {
+#if defined(__x86_64__)
+  long result = SYS_arch_prctl;
+  asm volatile("syscall"
+               : "+a"(result)
+               : "D"(long{ARCH_SET_FS}), "S"(thread_pointer)
+               : "rcx", "r11", "memory");
+#elif defined(__aarch64__)
+  asm volatile("msr tpidr_el0, %0" : : "r"(thread_pointer) : "memory");
+#endif
+}
+
+/// What the C library does at the end of a thread, without destructors.
+void forget_values_of_keys() noexcept {
+  for (pthread_key_t key = 0; key < PTHREAD_KEYS_MAX; ++key) {
+    if (::pthread_getspecific(key) != nullptr) {
+      ::pthread_setspecific(key, nullptr);
+    }
+  }
+}
+
+[[gnu::noinline]] void end_as(std::uintptr_t thread_pointer, ThreadDone done) noexcept {
+  const auto own = reinterpret_cast<std::uintptr_t>(__builtin_thread_pointer());
+  become(thread_pointer);
+  if (done != nullptr) {
+    done();
+  }
+  forget_values_of_keys();
+  become(own);
+}
+
+int give_back_of_resting(void* argument) {
   signal_self_after(kGiveBackLimit, SIGKILL);
-  reinterpret_cast<ThreadDone>(function)();
+  const auto& slot = *static_cast<const CrashSlot*>(argument);
+  for (std::uint32_t i = 0; i < slot.report.resting_thread_count; ++i) {
+    end_as(slot.report.resting_threads[i], thread_done);
+  }
+  return 0;
+}
+
+/// Runs in a child: the allocator's lists for this thread may be broken, or end in themselves.
+int give_back_memory(void*) {
+  signal_self_after(kGiveBackLimit, SIGKILL);
+  thread_done();
   return 0;
 }
 
@@ -94,8 +150,8 @@ void* DonorThread::start(void* self) {
   ::pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, nullptr);
   donor.body_();
   donor.rank_.end();
-  if (const ThreadDone done = allocator_thread_done()) {
-    clone_and_wait(give_back_memory, reinterpret_cast<void*>(done));
+  if (thread_done != nullptr) {
+    clone_and_wait(give_back_memory, nullptr);
   }
   if (donor.ended_) {
     donor.ended_();
@@ -104,6 +160,13 @@ void* DonorThread::start(void* self) {
   // the child's. The kernel wakes join().
   ::syscall(SYS_exit, 0);
   __builtin_unreachable();
+}
+
+bool give_back_heaps(const CrashSlot& slot) noexcept {
+  if (slot.report.resting_thread_count == 0) {
+    return true;
+  }
+  return clone_and_wait(give_back_of_resting, const_cast<CrashSlot*>(&slot)).clean();
 }
 
 }  // namespace play_launch::isolation

@@ -29,7 +29,6 @@
 #include "isolation/quiesce/code_map.hpp"
 #include "isolation/quiesce/quiesce.hpp"
 #include "isolation/record/own_signals.hpp"
-#include "isolation/record/survive.hpp"
 
 namespace play_launch::isolation {
 namespace {

@@ -11,7 +11,7 @@
 #include <utility>
 
 #include "isolation/crash/crash_handler.hpp"
-#include "isolation/record/survive.hpp"
+#include "isolation/record/own_signals.hpp"
 
 namespace play_launch::isolation {
 namespace {

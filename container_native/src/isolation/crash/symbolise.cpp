@@ -13,7 +13,7 @@
 
 #include "base/elf.hpp"
 #include "isolation/crash/crash_handler.hpp"
-#include "isolation/record/survive.hpp"
+#include "isolation/record/own_signals.hpp"
 
 namespace play_launch::isolation {
 namespace {

@@ -4,7 +4,6 @@
 #include <string>
 #include <vector>
 
-#include "isolation/record/child_end.hpp"
 #include "isolation/record/crash_slot.hpp"
 
 namespace play_launch::isolation {

@@ -8,7 +8,7 @@
 #include <unwind.h>
 
 #include "isolation/quiesce/quiesce.hpp"
-#include "isolation/record/survive.hpp"
+#include "isolation/record/own_signals.hpp"
 
 #if defined(__x86_64__)
 // Returned to, not called: there is no caller any more.

@@ -18,11 +18,10 @@
 #include <ctime>
 #include <string_view>
 
-#include "base/number_list.hpp"
+#include "base/process.hpp"
 #include "isolation/memory/protection_keys.hpp"
 #include "isolation/quiesce/code_map.hpp"
 #include "isolation/record/own_signals.hpp"
-#include "isolation/record/survive.hpp"
 
 namespace play_launch::isolation {
 namespace {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <pthread.h>
+#include <sys/types.h>
 
 #include <array>
 #include <atomic>
@@ -13,8 +14,8 @@
 #include <string_view>
 
 #include "base/resource_setting.hpp"
+#include "base/scheduling.hpp"
 #include "base/unique_fd.hpp"
-#include "base/urgency.hpp"
 #include "isolation/record/child_threads.hpp"
 #include "isolation/record/crash_slot.hpp"
 
@@ -118,5 +119,25 @@ struct ChildRecord {
 /// The child that calls this, in any of its threads; null in the container itself and in processes
 /// that were forked. Async-signal-safe.
 ChildRecord* current_child() noexcept;
+
+/// One place in the table by which a process finds its own record. Async-signal-safe.
+class Registration {
+ public:
+  /// On the donor, before the child exists. The record must stay where it is.
+  explicit Registration(ChildRecord& record) noexcept;
+  ~Registration();
+  Registration(const Registration&) = delete;
+  Registration& operator=(const Registration&) = delete;
+
+  /// False: kMaxChildren live already.
+  explicit operator bool() const { return index_ < kMaxChildren; }
+
+ private:
+  std::size_t index_ = 0;
+};
+
+/// Writes the ids of the children that live now, but for expendable ones, into `pids`; their
+/// number. Any thread.
+std::size_t living_children(std::array<pid_t, kMaxChildren>& pids) noexcept;
 
 }  // namespace play_launch::isolation

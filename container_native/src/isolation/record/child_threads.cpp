@@ -3,13 +3,18 @@
 #include <cxxabi.h>
 #include <linux/futex.h>
 #include <pthread.h>
+#include <signal.h>
+#include <sys/mman.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <atomic>
+#include <bit>
 #include <climits>
-
-#include "isolation/record/alternate_stack.hpp"
-#include "isolation/record/graveyard.hpp"
+#include <cstddef>
+#include <cstdint>
+#include <utility>
 
 namespace play_launch::isolation {
 
@@ -86,6 +91,110 @@ void ChildThreads::rest() noexcept {
 
 void ChildThreads::give_back(void* handler_stack) noexcept {
   AlternateStack::give_back(handler_stack);
+}
+
+namespace {
+
+// The kernel alone stores up to 11 KiB of vector registers; the unwinder needs a few more.
+constexpr std::size_t kSize = 128 * 1024;
+constexpr std::size_t kGuard = 64 * 1024;  // the largest page
+
+void* bottom_of(void* mapping) { return static_cast<char*>(mapping) + kGuard; }
+
+}  // namespace
+
+AlternateStack::AlternateStack() noexcept {
+  void* const mapping = ::mmap(nullptr, kGuard + kSize, PROT_NONE,
+                               MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+  if (mapping == MAP_FAILED) {
+    return;
+  }
+  if (::mprotect(bottom_of(mapping), kSize, PROT_READ | PROT_WRITE) != 0) {
+    give_back(mapping);
+    return;
+  }
+  mapping_ = mapping;
+}
+
+AlternateStack::~AlternateStack() { give_back(mapping_); }
+
+void AlternateStack::use() const noexcept {
+  stack_t stack{};
+  stack.ss_sp = bottom_of(mapping_);
+  stack.ss_size = kSize;
+  ::sigaltstack(&stack, nullptr);
+}
+
+void AlternateStack::stop_using() noexcept {
+  stack_t stack{};
+  stack.ss_flags = SS_DISABLE;
+  ::sigaltstack(&stack, nullptr);
+}
+
+void* AlternateStack::release() noexcept { return std::exchange(mapping_, nullptr); }
+
+void AlternateStack::give_back(void* released) noexcept {
+  if (released != nullptr) {
+    ::munmap(released, kGuard + kSize);
+  }
+}
+
+namespace {
+
+constexpr std::size_t kGraves = 4096;
+
+// Written by donors and threads of children, which may be killed amidst it: no locks.
+struct Place {
+  std::atomic<pid_t> thread{0};
+  std::atomic<pid_t> process{0};
+  std::array<std::atomic<std::uint64_t>, 2> name{};
+};
+
+std::array<Place, kGraves> places;
+std::atomic<std::size_t> dug{0};
+
+std::size_t used() { return std::min<std::size_t>(dug, kGraves); }
+
+}  // namespace
+
+void bury(pid_t thread, pid_t process, std::string_view process_name) noexcept {
+  std::array<char, 16> name{};
+  std::copy_n(process_name.data(), std::min(process_name.size(), name.size() - 1), name.data());
+  const auto words = std::bit_cast<std::array<std::uint64_t, 2>>(name);
+  Place& place = places[dug.fetch_add(1) % kGraves];
+  place.thread = 0;
+  place.process = process;
+  place.name[0] = words[0];
+  place.name[1] = words[1];
+  place.thread = thread;
+}
+
+void rise(pid_t thread) noexcept {
+  const std::size_t end = used();
+  for (std::size_t i = 0; i < end; ++i) {
+    pid_t expected = thread;
+    // Each thread of a node looks when it begins; hardly one of them is in the list.
+    if (places[i].thread.load(std::memory_order_relaxed) == thread) {
+      places[i].thread.compare_exchange_strong(expected, 0);
+    }
+  }
+}
+
+std::optional<Grave> find_grave(pid_t thread) noexcept {
+  const std::size_t end = used();
+  for (std::size_t i = 0; i < end; ++i) {
+    const Place& place = places[i];
+    if (place.thread != thread) {
+      continue;
+    }
+    Grave grave{thread, place.process, {}};
+    grave.process_name = std::bit_cast<std::array<char, 16>>(
+        std::array<std::uint64_t, 2>{place.name[0], place.name[1]});
+    if (place.thread == thread) {
+      return grave;
+    }
+  }
+  return std::nullopt;
 }
 
 }  // namespace play_launch::isolation

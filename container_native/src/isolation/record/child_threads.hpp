@@ -6,6 +6,8 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
+#include <string_view>
 
 namespace play_launch::isolation {
 
@@ -103,5 +105,47 @@ class ChildThreads {
   /// Places from here on were never taken.
   std::atomic<std::size_t> used_{0};
 };
+
+/// Where crash handlers run, also when the stack has overflowed: memory with a page below it that
+/// faults. Async-signal-safe.
+class AlternateStack {
+ public:
+  /// False when there is no memory to be had.
+  AlternateStack() noexcept;
+  ~AlternateStack();
+  AlternateStack(const AlternateStack&) = delete;
+  AlternateStack& operator=(const AlternateStack&) = delete;
+
+  explicit operator bool() const { return mapping_ != nullptr; }
+
+  /// Makes it the calling thread's.
+  void use() const noexcept;
+  /// The calling thread has none any more.
+  static void stop_using() noexcept;
+
+  /// Leaves it to another thread, which calls give_back().
+  void* release() noexcept;
+  static void give_back(void* released) noexcept;
+
+ private:
+  void* mapping_ = nullptr;
+};
+
+/// A thread of a child that was killed, or died, without coming to its end.
+struct Grave {
+  pid_t thread = 0;
+  pid_t process = 0;
+  std::array<char, 16> process_name{};
+};
+
+/// Remembers such a thread; only the last 4096 are known. Any thread; async-signal-safe, as are the
+/// others.
+void bury(pid_t thread, pid_t process, std::string_view process_name) noexcept;
+
+/// The id belongs to a living thread again.
+void rise(pid_t thread) noexcept;
+
+/// The node of that process, if it is among the dead.
+std::optional<Grave> find_grave(pid_t thread) noexcept;
 
 }  // namespace play_launch::isolation

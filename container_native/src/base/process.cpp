@@ -1,9 +1,13 @@
-#include "base/process_identity.hpp"
+#include "base/process.hpp"
 
 #include <fcntl.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
+#include <cerrno>
 #include <cstdio>
 #include <cstring>
 
@@ -42,5 +46,34 @@ ProcessIdentity identity_of(pid_t pid) noexcept {
 }
 
 std::uint64_t start_time_of_self() noexcept { return start_time_in("/proc/self/stat"); }
+
+std::optional<std::string> other_program_of(pid_t pid) {
+  const std::string link = "/proc/" + std::to_string(pid) + "/exe";
+  struct stat theirs{};
+  struct stat ours{};
+  if (::stat(link.c_str(), &theirs) != 0 || ::stat("/proc/self/exe", &ours) != 0 ||
+      (theirs.st_dev == ours.st_dev && theirs.st_ino == ours.st_ino)) {
+    return std::nullopt;
+  }
+  std::array<char, 4096> path{};
+  const ssize_t length = ::readlink(link.c_str(), path.data(), path.size());
+  return length > 0 ? std::string(path.data(), static_cast<std::size_t>(length)) : std::string();
+}
+
+void set_core_dumps(bool dumps) noexcept {
+  // A limit of 0 does not hold where the kernel hands cores to a program (kernel.core_pattern
+  // begins with "|", as on Ubuntu and Fedora); there 1 means none. Files of less than a page are
+  // not written at all.
+  constexpr rlim_t kNone = 1;
+  const int error = errno;
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_CORE, &limit) == 0) {
+    limit.rlim_cur = dumps ? limit.rlim_max : kNone;
+    // Raising a hard limit of 0 needs CAP_SYS_RESOURCE.
+    limit.rlim_max = std::max(limit.rlim_max, limit.rlim_cur);
+    ::setrlimit(RLIMIT_CORE, &limit);
+  }
+  errno = error;
+}
 
 }  // namespace play_launch

@@ -3,11 +3,42 @@
 #include <dirent.h>
 #include <fcntl.h>
 #include <sys/syscall.h>
+#include <sys/types.h>
 #include <unistd.h>
 
 #include <array>
+#include <chrono>
+#include <cstdint>
+#include <optional>
+#include <string>
 
 namespace play_launch {
+
+/// Names a process for good: process ids are used again, pairs with the start time are not.
+struct ProcessIdentity {
+  pid_t pid = 0;
+  std::uint64_t start_time = 0;  // clock ticks after boot, /proc/<pid>/stat field 22; 0: unknown
+};
+
+/// Of any process whose /proc entry can be read. Async-signal-safe, as is the other.
+ProcessIdentity identity_of(pid_t pid) noexcept;
+
+/// The calling process's start time; 0 when /proc cannot be read.
+std::uint64_t start_time_of_self() noexcept;
+
+/// The path of the program that a process runs, if it is another one than this process's; nothing
+/// when it is the same, or cannot be known.
+std::optional<std::string> other_program_of(pid_t pid);
+
+/// The calling process, and what it starts from now on, dumps no core when it dies of a signal; or,
+/// with `dumps`, cores of any size that the hard limit of RLIMIT_CORE allows. Ignores errors when
+/// that cannot be set. Async-signal-safe, keeps errno.
+void set_core_dumps(bool dumps) noexcept;
+
+/// When the supervisor is gone, so long may those of its processes run on that leave by themselves;
+/// then spawn_guard kills them. Nothing of a session may live 1 s later. A killed process leaves
+/// its shared memory behind, so one that leaves in order has to be gone before.
+constexpr std::chrono::milliseconds kOrphanGrace{700};
 
 /// The numbers that a folder of /proc lists: the threads in task, the descriptors in fd. Without
 /// the allocator that opendir() needs; async-signal-safe.

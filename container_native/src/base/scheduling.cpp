@@ -1,4 +1,4 @@
-#include "base/urgency.hpp"
+#include "base/scheduling.hpp"
 
 #include <sched.h>
 #include <sys/resource.h>
@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <thread>
 #include <tuple>
 
 namespace play_launch {
@@ -139,6 +140,25 @@ bool assume(pid_t thread, Urgency urgency) noexcept {
   const bool policy = ::sched_setscheduler(thread, urgency.policy, &parameter) == 0;
   errno = kept;
   return nice && policy;
+}
+
+std::size_t usable_cpus() noexcept {
+  cpu_set_t cpus;
+  CPU_ZERO(&cpus);
+  // It fails where the machine has more than fit in there.
+  const std::size_t count = ::sched_getaffinity(0, sizeof cpus, &cpus) == 0
+                                ? static_cast<std::size_t>(CPU_COUNT(&cpus))
+                                : std::thread::hardware_concurrency();
+  return std::max<std::size_t>(count, 1);
+}
+
+std::size_t executor_threads(std::size_t asked) noexcept {
+  return asked != 0 ? asked : std::max<std::size_t>(2, usable_cpus());
+}
+
+std::size_t node_executor_threads(std::size_t asked) noexcept {
+  constexpr std::size_t kMostByDefault = 4;
+  return asked != 0 ? asked : std::min(executor_threads(0), kMostByDefault);
 }
 
 }  // namespace play_launch

@@ -1,4 +1,4 @@
-#include "components/component_index.hpp"
+#include "components/component_backend.hpp"
 
 #include <fcntl.h>
 
@@ -13,7 +13,6 @@
 #include <system_error>
 
 #include "base/unique_fd.hpp"
-#include "components/load_request.hpp"
 
 namespace play_launch::container {
 namespace {

@@ -1,4 +1,4 @@
-#include "isolation/record/registry.hpp"
+#include "isolation/record/child_record.hpp"
 
 #include <unistd.h>
 

@@ -3,6 +3,7 @@
 #include <sys/types.h>
 
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -80,5 +81,16 @@ class NotRealTime {
   Rank own_;  // of a thread that is not raised
   Rank& rank_;
 };
+
+/// CPUs that the calling thread may run on, at least 1.
+std::size_t usable_cpus() noexcept;
+
+/// Threads for the executor of all nodes of a process: what was asked for, else one per usable CPU,
+/// but at least 2.
+std::size_t executor_threads(std::size_t asked) noexcept;
+
+/// Threads for the executor of a single node: what was asked for, else one per usable CPU, but at
+/// least 2 and at most 4.
+std::size_t node_executor_threads(std::size_t asked) noexcept;
 
 }  // namespace play_launch
