@@ -68,9 +68,24 @@ std::string LibraryLoader::opening_for(std::uint64_t unique_id) const {
   return waiting_.contains(unique_id) && !orders_.empty() ? orders_.front()->path : "";
 }
 
+namespace {
+
+void look_up_type_supports_of(const char* library) {
+  if (void* const handle = ::dlopen(library, RTLD_LAZY | RTLD_NOLOAD)) {
+    isolation::look_up_type_supports(handle);
+    ::dlclose(handle);
+  }
+}
+
+}  // namespace
+
 void LibraryLoader::work() {
   ::pthread_setname_np(::pthread_self(), "loader");
   const OpeningGuard::Thread guarded;
+  // Those of the container's own services, which may come at any time: made amidst the first
+  // initialiser they would wait for its end, with a lock of the middleware that nodes need.
+  look_up_type_supports_of(nullptr);
+  look_up_type_supports_of("libplay_launch_component.so");
   std::unique_lock lock(mutex_);
   while (true) {
     changed_.wait(lock, [this] { return done_ || !orders_.empty(); });
@@ -91,10 +106,7 @@ void LibraryLoader::carry_out(Order& order) {
   try {
     const OpeningGuard guard(order.node, order.path);
     std::unique_ptr<ComponentLibrary> library = open_library(order.backend, order.path);
-    if (void* const handle = ::dlopen(order.path.c_str(), RTLD_LAZY | RTLD_NOLOAD)) {
-      isolation::look_up_type_supports(handle);
-      ::dlclose(handle);
-    }
+    look_up_type_supports_of(order.path.c_str());
     const std::lock_guard lock(mutex_);
     open_.emplace(Key(&order.backend, order.path), std::move(library));
   } catch (...) {
