@@ -79,12 +79,8 @@ class Event(StrEnum):
     """The process `unit` was started (OnProcessStart)."""
     EXITED = "exited"
     """The process `unit` has exited, with any status (OnProcessExit)."""
-    LOADED = "loaded"
-    """The load requests for the composable node `unit` are answered (OnExecutionComplete)."""
     STATE = "state"
     """The managed node `unit` has reached the lifecycle state `state` (OnStateTransition)."""
-    OUTPUT = "output"
-    """The process `unit` wrote a line that matches the regular expression `pattern`."""
 
 
 class StartCondition(Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -94,7 +90,6 @@ class StartCondition(Struct, frozen=True, kw_only=True, omit_defaults=True):
     unit: str = ""
     seconds: float = 0.0
     state: str = ""
-    pattern: str = ""
 
 
 class ProgramKind(StrEnum):
@@ -108,13 +103,6 @@ class ProgramKind(StrEnum):
 
 OUTPUTS: Final = frozenset({"screen", "log", "both", "own_log", "full"})
 """What launch knows to do with the output of a process."""
-
-
-class AtExit(StrEnum):
-    """Reaction when a process exits unasked and is not respawned."""
-
-    IGNORE = "ignore"
-    SHUTDOWN = "shutdown"
 
 
 class _Unit(Struct, kw_only=True, omit_defaults=True):
@@ -138,7 +126,6 @@ class _Unit(Struct, kw_only=True, omit_defaults=True):
     sources: list[Source] = field(default_factory=list)
     parameters: list[ParameterConfig] = field(default_factory=list)
     remappings: list[tuple[str, str]] = field(default_factory=list)
-    log_level: str = ""
     is_lifecycle: bool = False
     autostart: Autostart | None = None
     start: list[StartCondition] = field(default_factory=list)
@@ -186,7 +173,8 @@ class LaunchedProcess(_Unit, kw_only=True, tag="process", omit_defaults=True):
     """None: not said, as in some dumps."""
     respawn_delay: float | None = None
     respawn_max_retries: int = -1
-    on_exit: AtExit = AtExit.IGNORE
+    ends_all: bool = False
+    """Whether everything is shut down when it exits unasked."""
     sigterm_timeout: float | None = None
     sigkill_timeout: float | None = None
 
@@ -196,6 +184,7 @@ class Composable(_Unit, kw_only=True, tag="composable", omit_defaults=True):
 
     plugin: str = ""
     container: str = ""
+    log_level: str = ""
     extra_arguments: list[ParameterConfig] = field(default_factory=list)
 
 
@@ -297,10 +286,14 @@ class Losses:
     def __iter__(self) -> Iterator[Loss]:
         return iter(self._found)
 
+    def add(self, loss: Loss) -> None:
+        """Report something."""
+        self._found[loss] = None
+
     def lost(self, where: str, what: str) -> None:
         """Report something that is missing."""
-        self._found[Loss(where, what)] = None
+        self.add(Loss(where, what))
 
     def note(self, where: str, what: str) -> None:
         """Report something that is worth knowing."""
-        self._found[Loss(where, what, is_note=True)] = None
+        self.add(Loss(where, what, is_note=True))

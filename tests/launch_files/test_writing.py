@@ -21,7 +21,6 @@ from play_launch.config.model import (
 from play_launch.launch_files.configuration.options import Containers, Options
 from play_launch.launch_files.configuration.write import Written, written
 from play_launch.launch_files.records import (
-    AtExit,
     Composable,
     Description,
     Event,
@@ -68,7 +67,7 @@ PROCESSES = st.builds(
     respawn=st.none() | st.booleans(),
     respawn_delay=st.none() | st.integers(1, 50).map(float),
     respawn_max_retries=st.integers(-1, 3),
-    on_exit=st.sampled_from(AtExit),
+    ends_all=st.booleans(),
     emulate_tty=st.booleans(),
     **COMMON,
 )
@@ -115,7 +114,7 @@ def test_what_is_written_is_read_back(
         assert dict(found.environment) == dict(unit.environment)
         assert found.prefix == tuple(unit.prefix)
         assert found.emulate_tty == unit.emulate_tty
-        if unit.on_exit is AtExit.SHUTDOWN:
+        if unit.ends_all:
             assert found.on_exit is OnExit.SHUTDOWN
             continue
         assert found.on_exit is (OnExit.RESTART if unit.respawn else OnExit.IGNORE)
@@ -347,7 +346,7 @@ def test_the_end_and_the_folder_of_a_container(tmp_path: Path) -> None:
         package="rclcpp_components",
         executable="component_container",
         kind=ProgramKind.CONTAINER,
-        on_exit=AtExit.SHUTDOWN,
+        ends_all=True,
         cwd="/tmp",
         arguments=[""],
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 from pathlib import Path, PurePath
@@ -24,7 +25,7 @@ class Paths:
 
     def __init__(self, folder: Path) -> None:
         self._folder = Path(os.path.abspath(folder))  # noqa: PTH100 - links stay as they are
-        self._shares: dict[str, Path | None] = {}
+        self._share = functools.cache(share_folder)
 
     def value(self, path: str) -> str:
         """Return what stands for an absolute path in a configuration, without escapes.
@@ -55,11 +56,6 @@ class Paths:
             ):
                 return parts[index], str(Path(*parts[index + 1 :]))
         return None
-
-    def _share(self, package: str) -> Path | None:
-        if package not in self._shares:
-            self._shares[package] = share_folder(package)
-        return self._shares[package]
 
 
 _UNUSUAL: Final = re.compile(r"[^A-Za-z0-9_.-]+", re.ASCII)

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 from play_launch.config.model import ParameterType
 from play_launch.config.values import check_topic
 from play_launch.launch_files.configuration.options import Containers
-from play_launch.launch_files.configuration.sources import add_parameters, add_sections, values_of
 from play_launch.launch_files.configuration.yaml_text import Commented
-from play_launch.launch_files.records import AtExit, ProgramKind
+from play_launch.launch_files.records import ProgramKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -60,7 +59,7 @@ class Members:
     def container(self, unit: LaunchedProcess) -> dict[str, Any]:
         """Return the entry of a container, without its nodes."""
         entry = self._begin(unit)
-        values = values_of(unit, unit.parameters, self._losses)
+        values = self._sources.values_of(unit, unit.parameters)
         arguments, for_ros = _parted(unit.arguments)
         kind = _TYPES.get(unit.executable) if unit.package == "rclcpp_components" else None
         if kind is None or self._options.containers is Containers.STOCK:
@@ -91,7 +90,7 @@ class Members:
                     entry[_THREADS] = threads.value
             if arguments:
                 self._lost(unit, f"arguments that its container has no use for: {arguments}")
-        add_sections(entry, unit, values, self._sources, self._losses)
+        self._sources.add_sections(entry, unit, values)
         extra = self._without_names(unit, for_ros)
         for source, target in self._remappings(unit):
             extra += ["-r", f"{source}:={target}"]
@@ -99,7 +98,7 @@ class Members:
         # It comes back in any case, without `respawn` as often as ours do.
         if restart := _restart(unit, unit.respawn_max_retries if unit.respawn else -1):
             entry["restart"] = restart
-        if unit.on_exit is AtExit.SHUTDOWN:
+        if unit.ends_all:
             entry["on_exit"] = "shutdown"
         if unit.cwd:
             entry["cwd"] = unit.cwd
@@ -111,14 +110,15 @@ class Members:
         """Return the entry of a composable node."""
         entry = self._begin(unit)
         entry |= {"package": unit.package, "plugin": unit.plugin}
-        values = values_of(unit, unit.parameters, self._losses)
+        values = self._sources.values_of(unit, unit.parameters)
         if written := self._sources.written(unit, values):
             entry["parameters"] = written
         if remappings := dict(self._remappings(unit)):
             entry["remappings"] = remappings
         if unit.extra_arguments:
             entry["extra_arguments"] = {each.name: each.value for each in unit.extra_arguments}
-        self._add_level(entry, unit)
+        if level := unit.log_level.lower():
+            entry["log_level"] = _LEVELS.get(level, level)
         self._add_lifecycle(entry, unit)
         return entry
 
@@ -142,7 +142,7 @@ class Members:
         else:
             self._lost(unit, "has neither a package nor a command, so nothing can be started")
             return None
-        add_parameters(entry, unit, self._sources, self._losses)
+        self._sources.add(entry, unit)
         extra: list[str] = []
         remappings = dict(self._remappings(unit, extra))
         if remappings:
@@ -186,7 +186,6 @@ class Members:
             entry["environment"] = dict(unit.environment)
         if arguments := [*self._without_names(unit, unit.ros_arguments), *extra]:
             entry["ros_arguments"] = arguments
-        self._add_level(entry, unit)
         if unit.output in _INTO_FILES and not self._options.show_all:
             entry["output"] = "log"
 
@@ -198,11 +197,6 @@ class Members:
             what = f"shell: its words are given to the program as they are: {' '.join(special)}"
             self._lost(unit, what)
 
-    def _add_level(self, entry: dict[str, Any], unit: Unit) -> None:
-        if unit.log_level:
-            level = unit.log_level.lower()
-            entry["log_level"] = _LEVELS.get(level, level)
-
     def _add_lifecycle(self, entry: dict[str, Any], unit: Unit) -> None:
         if unit.autostart is not None:
             entry["autostart"] = str(unit.autostart)
@@ -213,7 +207,7 @@ class Members:
 
     def _add_end(self, entry: dict[str, Any], unit: LaunchedProcess) -> None:
         """Add the reaction to the exit of a process."""
-        if unit.on_exit is AtExit.SHUTDOWN:
+        if unit.ends_all:
             # launch does both; the restarted process is stopped at once.
             entry["on_exit"] = "shutdown"
             return

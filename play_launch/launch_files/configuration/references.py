@@ -132,10 +132,6 @@ def _dependency(condition: StartCondition, target: Unit, name: str) -> dict[str,
                 return f"{name} is started again whenever it exits"
             # The launch file does not ask for an exit status.
             return {"name": name, "condition": "exited", "on_timeout": "start"}
-        case Event.LOADED:
-            return {"name": name, "condition": "loaded"}
         case Event.STATE if condition.state == _ACTIVE:
             return {"name": name, "condition": "active"}
-        case Event.OUTPUT if is_process:
-            return {"name": name, "log": condition.pattern}
     return f"{condition.event} {condition.state} of {name} cannot be said".replace("  ", " ")

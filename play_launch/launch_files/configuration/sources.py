@@ -27,17 +27,6 @@ _LONG: Final = 1000
 """Characters of a text that stands in a file of its own, such as the description of a robot."""
 
 
-def values_of(unit: Unit, parameters: Iterable[ParameterConfig], losses: Losses) -> Parameters:
-    """Return the values of evaluated parameters of a unit."""
-    found: Parameters = {}
-    for each in parameters:
-        if "\x00" in each.name or "\x00" in str(each.value.value):
-            losses.lost(unit.described, f"the parameter {each.name!r} holds a NUL character")
-        else:
-            found[each.name] = each.value
-    return found
-
-
 class ParameterSources:
     """Writes parameters; one for a configuration, because files are read once.
 
@@ -46,11 +35,48 @@ class ParameterSources:
     whatever the sources are. Temporary files are referenced as copies, where there may be any.
     """
 
-    def __init__(self, options: Options, paths: Paths, copies: Copies | None) -> None:
+    def __init__(
+        self, options: Options, paths: Paths, copies: Copies | None, losses: Losses
+    ) -> None:
         self._inline = options.inline
         self._paths = paths
         self._copies = copies
+        self._losses = losses
         self._read: dict[ParameterFile, Sections] = {}
+
+    def values_of(self, unit: Unit, parameters: Iterable[ParameterConfig]) -> Parameters:
+        """Return the values of evaluated parameters of a unit."""
+        found: Parameters = {}
+        for each in parameters:
+            if "\x00" in each.name or "\x00" in str(each.value.value):
+                what = f"the parameter {each.name!r} holds a NUL character"
+                self._losses.lost(unit.described, what)
+            else:
+                found[each.name] = each.value
+        return found
+
+    def add(self, entry: dict[str, Any], unit: LaunchedProcess) -> None:
+        """Add `parameters`, and `process_parameters` where others in it get something."""
+        own = self.values_of(unit, unit.parameters)
+        # Replay gives what is for the node to all nodes of the process.
+        has_others = not all(is_for(unit, each.pattern) for each in unit.for_others)
+        is_named = bool(unit.package and unit.name)
+        if (is_named or not has_others) and (written := self.written(unit, own)):
+            entry["parameters"] = written
+        if has_others:
+            self.add_sections(entry, unit, {} if is_named else own)
+
+    def add_sections(self, entry: dict[str, Any], unit: LaunchedProcess, own: Parameters) -> None:
+        """Add `process_parameters`, and `own` for the node where these do not give it that."""
+        sections = {each.pattern: self.values_of(unit, each.parameters) for each in unit.for_others}
+        given: Parameters = {}
+        for pattern, values in sections.items():
+            if is_for(unit, pattern):
+                given |= values
+        if rest := _different(own, given):
+            sections[unit.full_name or FOR_ALL] = rest
+        if written := self._sections(unit, sections):
+            entry["process_parameters"] = written
 
     def written(self, unit: Unit, values: Parameters) -> Any:
         """Return what stands at `parameters`; empty where there is nothing to say."""
@@ -66,7 +92,7 @@ class ParameterSources:
             return overrides
         return [*references, overrides] if overrides else references
 
-    def sections(self, unit: Unit, sections: Sections) -> Any:
+    def _sections(self, unit: Unit, sections: Sections) -> Any:
         """Return what stands at `process_parameters`; empty where there is nothing to say.
 
         Its sources stand there in their order, in which rcl reads them too, and what differs behind
@@ -77,8 +103,7 @@ class ParameterSources:
         for source in unit.sources:
             found: Sections = {}
             if isinstance(source, Values) and source.pattern in sections:
-                # What cannot be written of them was reported with the rest.
-                found = {source.pattern: values_of(unit, source.parameters, Losses())}
+                found = {source.pattern: self.values_of(unit, source.parameters)}
             elif isinstance(source, ParameterFile) and source in usable:
                 found = self._sections_of(source)
             own = unit.full_name if unit.full_name not in sections else ""
@@ -170,45 +195,10 @@ class ParameterSources:
 
 
 def _different(values: Parameters, base: Parameters) -> Parameters:
-    return {name: value for name, value in values.items() if not same(base.get(name), value)}
+    return {name: value for name, value in values.items() if not _same(base.get(name), value)}
 
 
-def same(one: ParameterValue | None, other: ParameterValue) -> bool:
+def _same(one: ParameterValue | None, other: ParameterValue) -> bool:
     """Return whether two values are the same for a node."""
     # By text, because NaN is not NaN and 0.0 is -0.0.
     return one is not None and one.type is other.type and repr(one.value) == repr(other.value)
-
-
-def add_parameters(
-    entry: dict[str, Any], unit: LaunchedProcess, sources: ParameterSources, losses: Losses
-) -> None:
-    """Add `parameters` of a process, and `process_parameters` where others in it get something."""
-    own = values_of(unit, unit.parameters, losses)
-    is_named = bool(unit.package and unit.name)
-    if all(is_for(unit, each.pattern) for each in unit.for_others):
-        # Replay gives those to all nodes of the process.
-        if written := sources.written(unit, own):
-            entry["parameters"] = written
-        return
-    if is_named and (written := sources.written(unit, own)):
-        entry["parameters"] = written
-    add_sections(entry, unit, {} if is_named else own, sources, losses)
-
-
-def add_sections(
-    entry: dict[str, Any],
-    unit: LaunchedProcess,
-    own: Parameters,
-    sources: ParameterSources,
-    losses: Losses,
-) -> None:
-    """Add `process_parameters`, and `own` for the node itself, where these do not give it that."""
-    sections = {each.pattern: values_of(unit, each.parameters, losses) for each in unit.for_others}
-    given: Parameters = {}
-    for pattern, values in sections.items():
-        if is_for(unit, pattern):
-            given |= values
-    if rest := {name: value for name, value in own.items() if not same(given.get(name), value)}:
-        sections[unit.full_name or FOR_ALL] = rest
-    if written := sources.sections(unit, sections):
-        entry["process_parameters"] = written

@@ -6,12 +6,11 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.config.resolve.nodes import NodeNames
-from play_launch.config.schema import ComposableNodeSection, ContainerSection, ProcessSection
 from play_launch.launch_files.configuration.files import Paths, with_copies
 from play_launch.launch_files.configuration.members import Members
 from play_launch.launch_files.configuration.references import Names, add_order
 from play_launch.launch_files.configuration.sources import ParameterSources
-from play_launch.launch_files.records import AtExit, Composable, LaunchedProcess, ProgramKind
+from play_launch.launch_files.records import Composable, LaunchedProcess, ProgramKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -96,7 +95,7 @@ def configuration_of(
     """Return the configuration; what it does not say is reported."""
     description = with_copies(description, copies, losses)
     paths = Paths(options.folder)
-    sources = ParameterSources(options, paths, copies)
+    sources = ParameterSources(options, paths, copies, losses)
     names = Names(description.units)
     members = Members(options, paths, sources, names, losses)
     return _Builder(names.distinct(losses), members, losses).built()
@@ -124,8 +123,6 @@ class _Builder:
         by_id = {unit.id: unit for unit in self._units if unit.id}
         for unit, entry in self._entries:
             add_order(entry, unit, by_id, self._names, self._losses)
-        for unit, entry in self._entries:
-            self._keep_known(unit, entry)
         containers = list(self._containers.values())
         for entry in containers:
             if nodes := entry.pop("composable_nodes", None):
@@ -146,7 +143,7 @@ class _Builder:
             entry = self._members.container(unit)
             self._containers[unit.full_name] = entry
             self._names[unit.id] = unit.full_name
-            if unit.respawn is not True and unit.on_exit is not AtExit.SHUTDOWN:
+            if unit.respawn is not True and not unit.ends_all:
                 self._losses.note("(containers)", "come back when they end, as with respawn")
         else:
             made = self._members.process(unit)
@@ -195,12 +192,3 @@ class _Builder:
         entry: dict[str, Any] = {"name": name, **({"namespace": namespace} if namespace else {})}
         entry |= {"container_type": "stock", "attach": True}
         return full_name, self._containers.setdefault(full_name, entry)
-
-    def _keep_known(self, unit: Unit, entry: dict[str, Any]) -> None:
-        """Leave out keys that configurations do not have."""
-        section: Any = ComposableNodeSection
-        if isinstance(unit, LaunchedProcess):
-            is_container = entry is self._containers.get(unit.full_name)
-            section = ContainerSection if is_container else ProcessSection
-        for key in [key for key in entry if key not in section.keys]:
-            self._losses.lost(unit.described, f"{key}: {entry.pop(key)}")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import msgspec
 
 from play_launch.config.compose import compose
 from play_launch.config.model import (
@@ -39,6 +41,7 @@ _KEYS: Final = (("from", "to"), ("name", "value"))
 """Names of the two fields, where a pair is a record."""
 
 _Values = dict[str, ParameterValue]
+_Kind = TypeVar("_Kind")
 
 
 def typed_values(name: str, text: str) -> _Values | None:
@@ -96,25 +99,19 @@ class Fields:
         value = self.take(name)
         if isinstance(value, bool | int | float):
             return as_text(value)
-        return str(self._checked(name, value, str, "a text") or "")
+        if value is None or isinstance(value, str):
+            return value or ""
+        self._refuse(name, "expected a text")
+        return ""
 
-    def flag(self, name: str) -> bool | None:
-        """Return a truth value; None where it is missing."""
-        found: bool | None = self._checked(name, self.take(name), bool, "true or false")
-        return found
-
-    def number(self, name: str) -> float | None:
-        """Return a number; None where it is missing."""
+    def get(self, name: str, kind: type[_Kind]) -> _Kind | None:
+        """Return a field of a type; None where it is missing or something else."""
         value = self.take(name)
-        kind = () if isinstance(value, bool) else (int, float)
-        found: float | None = self._checked(name, value, kind, "a number")
-        return found
-
-    def texts(self, name: str) -> list[str]:
-        """Return a list of texts."""
-        value = self.take(name)
-        is_fine = isinstance(value, list) and all(isinstance(each, str) for each in value)
-        return list(self._checked(name, value, list if is_fine else (), "a list of texts") or ())
+        try:
+            return None if value is None else msgspec.convert(value, kind)
+        except msgspec.ValidationError as error:
+            self._refuse(name, str(error))
+            return None
 
     def pairs(self, name: str) -> list[tuple[str, str]]:
         """Return pairs of texts: a record, or a list of lists of two or of records with `_KEYS`."""
@@ -131,7 +128,7 @@ class Fields:
                 ):
                     found.append((key, as_text(text)))
                 case _:
-                    self._refuse(name, "a list of pairs")
+                    self._refuse(name, "expected a list of pairs")
         return found
 
     def parameters(self, name: str) -> tuple[ParameterConfig, ...]:
@@ -155,14 +152,8 @@ class Fields:
             if value not in (None, "", [], {}, False):
                 self.losses.lost(self.where, f"the field {name} is not understood")
 
-    def _checked(self, name: str, value: Any, kind: Any, expected: str) -> Any:
-        if value is None or isinstance(value, kind):
-            return value
-        self._refuse(name, expected)
-        return None
-
-    def _refuse(self, name: str, expected: str) -> None:
-        self.losses.lost(self.where, f"the field {name} is not {expected}")
+    def _refuse(self, name: str, problem: str) -> None:
+        self.losses.lost(self.where, f"the field {name}: {problem}")
 
 
 def as_text(value: object) -> str:
@@ -203,14 +194,14 @@ def read_unit(
     else:
         unit.environment = environment
         unit.executable = filled(fields.text("executable"))
-        unit.arguments = [filled(each) for each in fields.texts("args")]
-        unit.ros_arguments = [filled(each) for each in fields.texts("ros_args")]
-        command = fields.texts("cmd")
+        unit.arguments = [filled(each) for each in fields.get("args", list[str]) or ()]
+        unit.ros_arguments = [filled(each) for each in fields.get("ros_args", list[str]) or ()]
+        command = fields.get("cmd", list[str])
         if not unit.package and command:
             # As that program does it: the first word is a whole command line.
             unit.command = [*command[0].split(), *command[1:]]
-        unit.respawn = fields.flag("respawn")
-        unit.respawn_delay = fields.number("respawn_delay")
+        unit.respawn = fields.get("respawn", bool)
+        unit.respawn_delay = fields.get("respawn_delay", float)
     unit.sources = _sources(fields)
     _evaluate(unit, fields.losses)
     return unit
@@ -229,7 +220,9 @@ def _set_name(unit: Unit, name: str, namespace: str) -> None:
 def _sources(fields: Fields) -> list[Source]:
     common: list[Source] = [Values((each,)) for each in fields.parameters("global_params")]
     values: list[Source] = [Values((each,)) for each in fields.parameters("params")]
-    files: list[Source] = [ParameterFile(text=text) for text in fields.texts("params_files")]
+    files: list[Source] = [
+        ParameterFile(text=text) for text in fields.get("params_files", list[str]) or ()
+    ]
     # Without the ordered list, what stands in the launch file itself comes last.
     return common + (_ordered_sources(fields) or files + common + values)
 

@@ -49,7 +49,7 @@ def read_launch_dump(values: Mapping[str, Any], losses: Losses) -> Description:
             filled = partial(_filled, variables=variables, fields=unit)
             system.units.append(read_unit(unit, LISTS[name], file, filled))
             unit.refuse_rest()
-    for name in fields.texts("lifecycle_node"):
+    for name in fields.get("lifecycle_node", list[str]) or ():
         losses.note(name, "is a lifecycle node; nobody but your own nodes activates it")
     # What was read from these files stands in the sources of the nodes.
     fields.take("file_data")
@@ -61,25 +61,16 @@ def read_launch_dump(values: Mapping[str, Any], losses: Losses) -> Description:
 
 
 def _scopes(values: Any) -> dict[int, str]:
-    """Return the launch file of each scope."""
-    entries = {
-        each["id"]: each
-        for each in (values if isinstance(values, list) else ())
-        if isinstance(each, dict) and isinstance(each.get("id"), int)
-    }
-    return {number: _origin(number, entries) for number in entries}
-
-
-def _origin(number: Any, entries: Mapping[int, Mapping[str, Any]]) -> str:
-    for _ in entries:
-        entry = entries.get(number)
-        if entry is None:
-            break
-        origin = entry.get("origin")
-        if isinstance(origin, dict):
-            return "/".join(str(origin[key]) for key in ("pkg", "file") if origin.get(key))
-        number = entry.get("parent")
-    return ""
+    """Return the launch file of each scope, which may be that of one above it."""
+    found: dict[int, str] = {}
+    for each in values if isinstance(values, list) else ():
+        match each:
+            case {"id": int(number), "origin": dict(origin)}:
+                keys = ("pkg", "file")
+                found[number] = "/".join(str(origin[key]) for key in keys if origin.get(key))
+            case {"id": int(number), "parent": int(parent)}:
+                found[number] = found.get(parent, "")
+    return found
 
 
 def _filled(text: str, variables: Mapping[str, str], fields: Fields) -> str:

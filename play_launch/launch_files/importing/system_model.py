@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 NEWEST_VERSION: Final = 1
 _WIRING: Final = ("topics", "services", "actions")
+"""What is connected follows from the nodes; it is written down, not done."""
 _CONTAINER_PROGRAM: Final = "component_container"
 _RENAMED: Final = {
     "container": "target_container_name",
@@ -38,19 +39,19 @@ def is_system_model(values: Any) -> bool:
 def read_system_model(values: Mapping[str, Any], losses: Losses) -> Description:
     """Return the system in a model."""
     fields = Fields(values, "(top level)", losses)
-    _read_meta(fields.take("meta"), losses)
+    meta = Fields(fields.take("meta") or {}, "meta", losses)
+    version = meta.take("version")
+    if isinstance(version, int) and version > NEWEST_VERSION:
+        losses.lost("meta", f"version {version} is newer than {NEWEST_VERSION}, which is read here")
+    for text in meta.get("diagnostics", list[str]) or ():
+        losses.note("meta", f"the model says: {text}")
     structure = Fields(fields.take("structure"), "structure", losses)
     scopes = _mapping(structure.take("scopes"))
     nodes = _mapping(structure.take("nodes"))
     for kind in _WIRING:
-        if wired := _mapping(structure.take(kind)):
-            # Who is connected to whom follows from the nodes; that is written down, not done.
-            losses.note("structure", f"{len(wired)} {kind} with their types are not checked here")
+        structure.take(kind)
     structure.refuse_rest()
     elsewhere = _read_execution(fields.take("execution"), losses)
-    for layer, entries in _mapping(fields.take("contracts")).items():
-        if entries:
-            losses.lost("contracts", f"{layer}: {len(entries)} contracts are not checked here")
     fields.refuse_rest()
     targets = _targets(nodes)
     system = Description()
@@ -75,32 +76,17 @@ def _targets(nodes: Mapping[str, Any]) -> set[str]:
     }
 
 
-def _read_meta(values: Any, losses: Losses) -> None:
-    meta = Fields(values if values is not None else {}, "meta", losses)
-    version = meta.take("version")
-    if isinstance(version, int) and version > NEWEST_VERSION:
-        losses.lost("meta", f"version {version} is newer than {NEWEST_VERSION}, which is read here")
-    for text in meta.texts("diagnostics"):
-        losses.note("meta", f"the model says: {text}")
-    # Where the model comes from: nothing follows from it.
-    for name in ("args", "inputs", "resolver", "record"):
-        meta.take(name)
-    meta.refuse_rest()
-
-
 def _read_execution(values: Any, losses: Losses) -> dict[str, str]:
     """Report what is not done here; return the nodes that are not for this machine."""
-    execution = _mapping(values)
+    execution = Fields(values or {}, "execution", losses)
     elsewhere: dict[str, str] = {}
-    for key, record in _mapping(execution.get("deploy")).items():
+    for key, record in _mapping(execution.take("deploy")).items():
         deploy = Fields(record, f"execution.deploy {key}", losses)
         target = deploy.text("target")
         if target not in ("", "linux"):
             elsewhere[key] = target
         deploy.refuse_rest()
-    for layer, entries in execution.items():
-        if layer != "deploy" and entries:
-            losses.lost("execution", f"{layer}: {len(entries)} entries; nodes run unscheduled here")
+    execution.refuse_rest()
     return elsewhere
 
 
@@ -118,20 +104,13 @@ def _node(
     name = values.get("node_name") or (last if is_composable or is_container else "")
     values |= {"node_name": str(name).rpartition("/")[2], "namespace": namespace}
     fields = Fields(values if isinstance(record, dict) else record, key, losses)
-    autostart = _autostart(fields, losses)
+    is_lifecycle = bool(fields.get("lifecycle", bool))
+    autostart = _AUTOSTART.get(fields.text("lifecycle_autostart"))
     scope = fields.text("scope")
     if criticality := fields.text("criticality"):
         losses.lost(key, f"its criticality {criticality}: nodes run unscheduled here")
     kind = ProgramKind.CONTAINER if is_container else ProgramKind.NODE
     unit = read_unit(fields, None if is_composable else kind, scope if scope in scopes else "")
-    unit.autostart = autostart
+    unit.is_lifecycle, unit.autostart = is_lifecycle, autostart if is_lifecycle else None
     fields.refuse_rest()
     return unit
-
-
-def _autostart(fields: Fields, losses: Losses) -> Autostart | None:
-    is_lifecycle = fields.flag("lifecycle")
-    autostart = fields.text("lifecycle_autostart")
-    if is_lifecycle and autostart not in _AUTOSTART:
-        losses.note(fields.where, "is a lifecycle node; nobody but your own nodes activates it")
-    return _AUTOSTART.get(autostart) if is_lifecycle else None

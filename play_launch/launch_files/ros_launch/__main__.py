@@ -214,6 +214,7 @@ def _description(
         events.run()
     scene.take_temporary()
     scene.description.files = list(places.files)
+    scene.description.losses = list(scene.losses)
     return scene.description
 
 

@@ -157,10 +157,6 @@ def _timers(scene: Scene, events: EventSimulation) -> None:
         self._TimerAction__context_locals = dict(context.get_locals_as_dict())
         if isinstance(self, launch_ros.actions.ROSTimer):
             scene.lost(self, "ROSTimer: it counts the time of the machine, not that of ROS")
-        cancels = getattr(self, "_TimerAction__cancel_on_shutdown", True)
-        if not type_utils.perform_typed_substitution(context, cancels, bool):
-            what = "cancel_on_shutdown: nothing is started any more while the system is shut down"
-            scene.lost(self, what, is_note=True)
         events.timed(self, seconds)
 
     for kind in (launch.actions.TimerAction, launch_ros.actions.ROSTimer):

@@ -20,7 +20,7 @@ from launch_ros.event_handlers import OnStateTransition
 from launch_ros.events.lifecycle import ChangeState, StateTransition
 
 from play_launch.config.model import Autostart
-from play_launch.launch_files.records import AtExit, Event, LaunchedProcess, StartCondition
+from play_launch.launch_files.records import Event, LaunchedProcess, StartCondition
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -197,7 +197,7 @@ class EventSimulation:
         if len(conditions) == 1 and conditions[0].event is Event.EXITED:
             unit = self._scene.unit(conditions[0].unit)
             if isinstance(unit, LaunchedProcess):
-                unit.on_exit = AtExit.SHUTDOWN
+                unit.ends_all = True
                 return
         when = self._scene.described(conditions) if conditions else "it was evaluated"
         self._scene.lost(part, f"the launch file shuts everything down when {when}: {event.reason}")

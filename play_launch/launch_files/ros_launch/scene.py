@@ -14,6 +14,7 @@ from play_launch.launch_files.records import (
     Event,
     LaunchedProcess,
     Loss,
+    Losses,
     ParameterFile,
     StartCondition,
     TemporaryFile,
@@ -98,6 +99,7 @@ class Scene:
         self.places = places
         self.causes = Causes()
         self.description = Description()
+        self.losses = Losses()
         self.environment = dict(os.environ)
         self.temporary = temporary
         self.written: set[str] = set()
@@ -138,15 +140,11 @@ class Scene:
         described = getattr(where, "described", None)
         if not isinstance(described, str):
             described = str(self.places.of_part(where)) if where is not None else ""
-        loss = Loss(described or next(iter(self.places.files), ""), what, is_note)
-        if loss not in self.description.losses:
-            self.description.losses.append(loss)
+        self.losses.add(Loss(described or next(iter(self.places.files), ""), what, is_note))
 
     def warned(self, text: str) -> None:
         """Note what launch_ros warns of while a part of the description is visited."""
-        loss = Loss(str(self.places.of_visited()), text, is_note=True)
-        if loss not in self.description.losses:
-            self.description.losses.append(loss)
+        self.losses.note(str(self.places.of_visited()), text)
 
     def declared(self, action: Any, default: str | None) -> None:
         """Note a launch argument that may be given."""

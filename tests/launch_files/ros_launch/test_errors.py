@@ -62,40 +62,6 @@ def generate_launch_description():
     )
 
 
-def test_python_that_prints(prefix: Prefix, capfd: pytest.CaptureFixture[str]) -> None:
-    text = python("""
-import os, sys
-print("printed while it is loaded")
-os.write(1, b"written to the descriptor\\n")
-os.system("echo of a program")
-sys.stdout.write("without an end")
-
-def generate_launch_description():
-    return LaunchDescription([LogInfo(msg="said"), ExecuteProcess(cmd=["true"])])
-""")
-    assert len(processes(prefix.evaluate("a.launch.py", text))) == 1
-    out, err = capfd.readouterr()
-    assert not out
-    for words in ("printed while", "written to", "of a program", "without an end", "said"):
-        assert words in err
-
-
-@needs_launch
-def test_an_argument_that_is_missing(prefix: Prefix) -> None:
-    prefix.file("b.launch.xml", '<launch>\n  <arg name="robot"/>\n</launch>\n')
-    text = f"""
-<launch>
-
-  <include file="{prefix.folder}/b.launch.xml"/>
-</launch>
-"""
-    assert prefix.error("a.launch.xml", text).splitlines() == [
-        'b.launch.xml:2: Required launch argument "robot" was not provided; give it as name:=value',
-        "  included from a.launch.xml:3",
-    ]
-    assert prefix.evaluate("a.launch.xml", text, {"robot": "r2"}).arguments[0].name == "robot"
-
-
 @needs_launch
 def test_what_launch_logs_stands_behind_the_error(
     prefix: Prefix, capfd: pytest.CaptureFixture[str]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from play_launch.config.model import Autostart
-from play_launch.launch_files.records import AtExit, Description, Event, StartCondition
+from play_launch.launch_files.records import Description, Event, StartCondition
 from tests.launch_files.ros_launch.prefix import Prefix, prefix, processes
 from tests.support.launch import IS_INSTALLED
 
@@ -184,7 +184,7 @@ def test_timers_fire_in_the_order_of_their_times(evaluated: Description) -> None
     indirect=True,
 )
 def test_shutdown_when_a_process_exits(evaluated: Description) -> None:
-    assert [each.on_exit for each in processes(evaluated)] == [AtExit.SHUTDOWN]
+    assert [each.ends_all for each in processes(evaluated)] == [True]
     assert evaluated.losses == []
 
 
@@ -381,7 +381,6 @@ def generate_launch_description():
 @pytest.mark.parametrize(
     ("evaluated", "words"),
     [
-        (["TimerAction(period=1.0, actions=[a], cancel_on_shutdown=False)"], "cancel_on_shutdown"),
         (["ExecuteProcess(cmd=['true'], output_format='{line}')"], "output_format"),
     ],
     indirect=["evaluated"],

@@ -69,7 +69,7 @@ def test_a_node(prefix: Prefix) -> None:
     assert talker.environment == [("LEVEL", "3")]
     assert (talker.respawn, talker.respawn_delay) == (True, 1.5)
     assert talker.emulate_tty
-    assert talker.on_exit == "shutdown"
+    assert talker.ends_all
     assert (talker.sigterm_timeout, talker.sigkill_timeout) == (7.0, None)
     assert values(talker) == {"a.b": 1}
     assert talker.origin.place.line == 5
