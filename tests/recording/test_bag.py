@@ -140,20 +140,6 @@ def test_a_full_disk_keeps_every_complete_chunk(
     assert len(messages(writer.path)) == 30
 
 
-def test_a_disk_that_is_full_at_the_end_leaves_the_active_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    writer = BagWriter(tmp_path / "x.mcap")
-    write_lines(writer, writer.register(OUTPUT), 0, 10)
-    writer.flush()
-    monkeypatch.setattr(os, "pwrite", FullDisk(20))
-    with pytest.raises(WriteFailedError):
-        writer.close()
-    writer.abandon()
-    assert [entry.name for entry in tmp_path.iterdir()] == ["x.mcap.active"]
-    assert len(raw_messages(writer.path, OUTPUT.name)) == 10
-
-
 def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "x.mcap.active").write_bytes(b"precious")
     with pytest.raises(WriteFailedError, match="File exists"):

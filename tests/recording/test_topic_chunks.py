@@ -13,17 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.records import Attachment, Metadata
+from mcap.records import Metadata
 from msgspec.structs import replace
 
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.chunk import ChannelPart, TopicChunk
 from play_launch.recording.errors import WriteFailedError
-from play_launch.recording.limits import RecorderLimits
 from play_launch.recording.recorder import Recorder
 from play_launch.recording.resolved_form import in_messages
-from play_launch.recording.topics import LOG_ALL, PARAMETER_EVENTS, PARAMETERS, Topic
-from play_launch.supervisor.events import LogRecord
+from play_launch.recording.topics import PARAMETER_EVENTS, PARAMETERS, Topic
 from tests.recording.reading import raw_messages, records
 from tests.recording.test_bag import write_lines
 
@@ -141,48 +139,6 @@ def test_a_chunk_waits_for_room_on_the_disk(tmp_path: Path) -> None:
     assert [each.data for each in raw_messages(summary.path, "/one")] == [b"abcd"]
 
 
-class WatchedWriter(BagWriter):
-    """Tells when an event of the run was written."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self.has_event = threading.Event()
-
-    def write(
-        self, channel: int, data: bytes, *, log_time: int, publish_time: int, key: str = ""
-    ) -> None:
-        super().write(channel, data, log_time=log_time, publish_time=publish_time, key=key)
-        self.has_event.set()
-
-
-def test_events_are_recorded_while_topics_come_without_a_pause(tmp_path: Path) -> None:
-    writer = WatchedWriter(tmp_path / "x.mcap")
-    recorder = Recorder(writer)
-    topics = recorder
-    channels: list[int] = []
-    answered = threading.Event()
-    topics.open_channel("/one", LOG, "", channels.append)
-    topics.after_these(answered.set)
-    assert answered.wait(10)
-    is_flooded = threading.Event()
-
-    def send() -> None:
-        topics.append_chunk(chunk_of([(channels[0], 5, b"abcd")]), send_another)
-
-    def send_another() -> None:
-        is_flooded.set()
-        if topics.topic_drops == 0:  # the recorder has not ended
-            send()
-
-    send()
-    assert is_flooded.wait(10)
-    recorder.publish(LogRecord(stamp_ns=1, level=40, name="n", message="the lidar crashed"))
-    assert writer.has_event.wait(10)
-    summary = recorder.close()
-    assert summary.error == "", "it does not wait for an end of what comes"
-    assert len(raw_messages(summary.path, LOG_ALL.name)) == 1
-
-
 @pytest.mark.parametrize("descriptor", [-1, None])
 def test_a_chunk_that_cannot_be_read_holds_nothing_up(
     tmp_path: Path, descriptor: int | None, caplog: pytest.LogCaptureFixture
@@ -212,29 +168,6 @@ def test_a_chunk_that_cannot_be_read_holds_nothing_up(
     assert drops.metadata == {"/one": "1"}
     (error,) = caplog.records
     assert "cannot be read" in error.getMessage()
-
-
-def test_what_is_attached_while_the_disk_is_full_is_there_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    limits = RecorderLimits(retry=0.001)
-    recorder = Recorder(BagWriter(tmp_path / "x.mcap"), limits=limits)
-    really, failures = os.pwrite, [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))]
-
-    def full(descriptor: int, data: bytes, at: int) -> int:
-        if failures:
-            raise failures.pop()
-        return really(descriptor, data, at)
-
-    monkeypatch.setattr(os, "pwrite", full)
-    done = threading.Event()
-    recorder.attach("a.txt", "text/plain", b"abc")
-    recorder.after_these(done.set)
-    assert done.wait(10)
-    summary = recorder.close()
-    assert summary.interruptions == 1
-    names = [each.name for each in records(summary.path) if isinstance(each, Attachment)]
-    assert names == ["a.txt"]
 
 
 def test_secrets_are_masked_in_what_is_about_parameters(tmp_path: Path) -> None:
