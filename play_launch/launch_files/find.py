@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.config.source import Refused, read_bytes
 from play_launch.config.substitutions import share_folder
-from play_launch.launch_files.records import EvaluationFailure, LaunchFileError
+from play_launch.launch_files.records import LaunchFileError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,22 +33,18 @@ def find(words: list[str]) -> Path:
         if path.is_file():
             return path
         hint = "; give PACKAGE FILE, or a path" if path.parent == Path() else ""
-        raise LaunchFileError(EvaluationFailure(f"{path}: {_why_not(path)}{hint}"))
+        raise LaunchFileError(f"{path}: {_why_not(path)}{hint}")
     package, name = words
     share = share_folder(package)
     if share is None:
         why = f"no package {package} is installed: none of the prefixes in AMENT_PREFIX_PATH has it"
-        raise LaunchFileError(EvaluationFailure(f"{why}; source its workspace"))
+        raise LaunchFileError(f"{why}; source its workspace")
     found = sorted(_named(share, name))
     if not found:
-        raise LaunchFileError(
-            EvaluationFailure(f"{package} has no launch file {name}{_others(share)}")
-        )
+        raise LaunchFileError(f"{package} has no launch file {name}{_others(share)}")
     if len(found) > 1:
         several = ", ".join(map(str, found))
-        raise LaunchFileError(
-            EvaluationFailure(f"{package} has several files {name}: {several}; give a path")
-        )
+        raise LaunchFileError(f"{package} has several files {name}: {several}; give a path")
     return found[0]
 
 

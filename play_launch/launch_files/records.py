@@ -254,11 +254,7 @@ class EvaluationFailure(Struct, frozen=True, tag="failure", omit_defaults=True):
 
 
 class LaunchFileError(UserError):
-    """A launch file cannot be evaluated; the text is that of the failure."""
-
-    def __init__(self, failure: EvaluationFailure) -> None:
-        super().__init__(str(failure))
-        self.failure = failure
+    """A launch file cannot be found or evaluated; the text is that of the failure."""
 
 
 class Job(Struct, frozen=True, kw_only=True):

@@ -72,7 +72,7 @@ def evaluate(
     if package := missing_package():
         what = f"{package}, which evaluates launch files, is not installed here"
         fix = "source a ROS with launch_ros, or run `play-launch dump` where it is"
-        raise LaunchFileError(EvaluationFailure(f"{what}; {fix}", LaunchOrigin(Place(str(path)))))
+        raise LaunchFileError(f"{path}: {what}; {fix}")
     prefix = "play_launch_evaluation_"
     with tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True) as temporary:
         job = Job(
@@ -87,14 +87,12 @@ def evaluate(
         try:
             text = msgspec.json.encode(job).decode()
         except UnicodeEncodeError:
-            place = LaunchOrigin(Place(ascii(job.path)))
-            raise LaunchFileError(
-                EvaluationFailure("its path or arguments are not UTF-8", place)
-            ) from None
+            what = "its path or arguments are not UTF-8"
+            raise LaunchFileError(f"{job.path!a}: {what}") from None
         os.mkdir(job.temporary)  # noqa: PTH102
         found = asyncio.run(_run(job, text))
     if isinstance(found, EvaluationFailure):
-        raise LaunchFileError(found)
+        raise LaunchFileError(str(found))
     return found
 
 
