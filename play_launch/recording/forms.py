@@ -302,15 +302,7 @@ def convert(event: RunEvent) -> tuple[TopicMessage, ...]:
     """
     match event:
         case OutputLine():
-            data = log_message(
-                event.stamp_ns,
-                line_level(event),
-                event.process,
-                event.text + " [cut]" if event.truncated else event.text,
-                file=event.stream.value,
-                function=f"pid {event.pid}",
-            )
-            return (TopicMessage(topics.OUTPUT, data),)
+            return (output_message(event, line_level(event)),)
         case LogRecord():
             data = log_message(
                 event.stamp_ns,
@@ -329,3 +321,16 @@ def convert(event: RunEvent) -> tuple[TopicMessage, ...]:
             # As its container sent it.
             return (TopicMessage(topics.COMPONENT_EVENTS, event.received),)
     return (_FORMS[type(event)].message(event),)
+
+
+def output_message(line: OutputLine, level: int) -> TopicMessage:
+    """Return the message for a line of output of a level."""
+    data = log_message(
+        line.stamp_ns,
+        level,
+        line.process,
+        line.text + " [cut]" if line.truncated else line.text,
+        file=line.stream.value,
+        function=f"pid {line.pid}",
+    )
+    return TopicMessage(topics.OUTPUT, data)

@@ -15,7 +15,7 @@ from play_launch.recording.clock import CLOCK_METADATA, SessionClock
 from play_launch.recording.console_format import ERROR, line_level
 from play_launch.recording.decisions import STATES, Decision, written
 from play_launch.recording.errors import RecordingError, SchemaNotFoundError, WriteFailedError
-from play_launch.recording.forms import TopicMessage, convert, is_failure
+from play_launch.recording.forms import TopicMessage, convert, is_failure, output_message
 from play_launch.recording.limits import LOGGER, DroppedEvents, RecorderLimits, RecordingSummary
 from play_launch.recording.topics import Topic
 from play_launch.supervisor.events import (
@@ -321,6 +321,11 @@ class Recorder:
                 if isinstance(event, list):
                     stamp_ns = received
                     messages = (TopicMessage(topics.INPUTS, written(event)),)
+                elif isinstance(event, OutputLine):
+                    level = line_level(event)
+                    has_error = has_error or level >= ERROR
+                    stamp_ns = max(event.stamp_ns, 0)
+                    messages = (output_message(event, level),)
                 else:
                     stamp_ns, messages = max(event.stamp_ns, 0), convert(event)
             except Exception as error:  # noqa: BLE001 - one odd event must not end the recording
@@ -335,8 +340,6 @@ class Recorder:
                     )
                 except WriteFailedError as error:
                     self._wait_for_disk(error)
-            if isinstance(event, OutputLine):
-                has_error = has_error or line_level(event) >= ERROR
             if not is_flood and not number & 63:
                 # Gives up the interpreter lock; otherwise the event loop gets it back only after
                 # the switch interval, 5 ms.
