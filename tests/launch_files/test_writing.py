@@ -149,6 +149,7 @@ def rate(value: int, name: str = "rate") -> tuple[ParameterConfig]:
         # Our reader refuses it, or reads something else than rcl.
         "/**: {ros__parameters: {rate: yes}}",
         "/**: {ros__parameters: {rate: 010}}",
+        "/**: {ros__parameters: {rate: 0o17}}",
         "/**: {ros__parameters: {rate: 0x10, b: [y, n]}}",
     ],
 )
