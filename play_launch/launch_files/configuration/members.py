@@ -96,12 +96,9 @@ class Members:
             extra += ["-r", f"{source}:={target}"]
         self._add_common(entry, unit, extra)
         # It comes back in any case, without `respawn` as often as ours do.
-        if restart := _restart(unit, unit.respawn_max_retries if unit.respawn else -1):
-            entry["restart"] = restart
+        _add_restart(entry, unit)
         if unit.ends_all:
             entry["on_exit"] = "shutdown"
-        if unit.cwd:
-            entry["cwd"] = unit.cwd
         if unit.emulate_tty:
             self._losses.note(unit.described, "its output goes to no terminal (emulate_tty)")
         return entry
@@ -148,11 +145,14 @@ class Members:
         if remappings:
             entry["remappings"] = remappings
         self._add_common(entry, unit, extra, prefix)
-        if unit.cwd:
-            entry["cwd"] = unit.cwd
         if unit.emulate_tty:
             entry["emulate_tty"] = True
-        self._add_end(entry, unit)
+        if unit.ends_all:
+            # launch does both; the restarted process is stopped at once.
+            entry["on_exit"] = "shutdown"
+        elif unit.respawn:
+            entry["on_exit"] = "restart"
+            _add_restart(entry, unit)
         self._add_lifecycle(entry, unit)
         return entry
 
@@ -188,6 +188,8 @@ class Members:
             entry["ros_arguments"] = arguments
         if unit.output in _INTO_FILES and not self._options.show_all:
             entry["output"] = "log"
+        if unit.cwd:
+            entry["cwd"] = unit.cwd
 
     def _report_shell(self, unit: LaunchedProcess) -> None:
         """Report what only a shell would make something else of."""
@@ -204,18 +206,6 @@ class Members:
             self._losses.note(
                 unit.described, "is a lifecycle node; nobody but your own nodes activates it"
             )
-
-    def _add_end(self, entry: dict[str, Any], unit: LaunchedProcess) -> None:
-        """Add the reaction to the exit of a process."""
-        if unit.ends_all:
-            # launch does both; the restarted process is stopped at once.
-            entry["on_exit"] = "shutdown"
-            return
-        if not unit.respawn:
-            return
-        entry["on_exit"] = "restart"
-        if restart := _restart(unit, unit.respawn_max_retries):
-            entry["restart"] = restart
 
     def _without_names(self, unit: LaunchedProcess, words: Iterable[str]) -> list[str]:
         """Return the arguments for ROS, without the marks that are put around them here."""
@@ -273,15 +263,12 @@ def _parted(arguments: Iterable[str]) -> tuple[list[str], list[str]]:
     return own, for_ros
 
 
-def _restart(unit: LaunchedProcess, max_retries: int) -> dict[str, Any]:
+def _add_restart(entry: dict[str, Any], unit: LaunchedProcess) -> None:
     restart: dict[str, Any] = {}
-    if max_retries >= 0:
+    if unit.respawn and unit.respawn_max_retries >= 0:
         # Counted from the start on, not within a time.
-        restart |= {"max_restarts": max_retries, "within": _YEAR}
-    if unit.respawn_delay:
-        restart["backoff"] = _backoff(unit.respawn_delay)
-    return restart
-
-
-def _backoff(delay: float) -> dict[str, Any]:
-    return {"initial": delay, "maximum": max(delay, _LONGEST_PAUSE)}
+        restart |= {"max_restarts": unit.respawn_max_retries, "within": _YEAR}
+    if delay := unit.respawn_delay:
+        restart["backoff"] = {"initial": delay, "maximum": max(delay, _LONGEST_PAUSE)}
+    if restart:
+        entry["restart"] = restart

@@ -11,6 +11,7 @@ import sys
 import xml.parsers.expat
 from contextlib import contextmanager
 from pathlib import Path
+from traceback import walk_tb
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree.ElementTree import ParseError
 
@@ -89,11 +90,9 @@ class Places:
     def of_traceback(self, traceback: TracebackType | None) -> Place:
         """Return the innermost place of a traceback that is in a launch file."""
         found = NOWHERE
-        while traceback is not None:
-            place = Place(traceback.tb_frame.f_code.co_filename, traceback.tb_lineno)
-            if place.file in self.files:
-                found = place
-            traceback = traceback.tb_next
+        for frame, line in walk_tb(traceback):
+            if frame.f_code.co_filename in self.files:
+                found = Place(frame.f_code.co_filename, line)
         return found
 
     def _is_of_user(self, file: str) -> bool:
