@@ -37,21 +37,16 @@ def _environment(entries: list[dict[str, Any]]) -> dict[str, str]:
     started = [entry for entry in entries if not entry.get("attach")]
     if len(started) < 2:
         return {}
-    first: dict[str, str] = started[0].get("environment", {})
+    first, *others = (entry.get("environment", {}) for entry in started)
     common = {
         name: value
         for name, value in first.items()
-        if all(entry.get("environment", {}).get(name) == value for entry in started)
+        if all(each.get(name) == value for each in others)
     }
-    for entry in started:
-        left = {
-            name: value
-            for name, value in entry.get("environment", {}).items()
-            if name not in common
-        }
-        if left:
-            entry["environment"] = left
-        elif common:
+    for entry in started if common else ():
+        for name in common:
+            del entry["environment"][name]
+        if not entry["environment"]:
             del entry["environment"]
     return common
 
