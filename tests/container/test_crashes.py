@@ -238,7 +238,7 @@ def test_nodes_that_are_ended_while_they_read_a_clock(spawn: StartContainer) -> 
 
 
 def test_what_cannot_be_cleaned_up_is_counted(spawn: StartContainer) -> None:
-    container = start(spawn, failpoints="container.during_burial=hang")
+    container = start(spawn, failpoints="container.during_cleanup=hang")
     with survives(container):
         crasher = container.loaded("Crasher", parameters={"after": 0.0})
         container.event(CRASHED, unique_id=crasher.unique_id)

@@ -25,10 +25,10 @@ constexpr std::size_t kCount = static_cast<std::size_t>(Failpoint::count);
 
 // In the order of the enumeration.
 constexpr std::array<std::string_view, kCount> kNames{
-    "container.before_hello",    "container.after_accept",  "container.before_construct",
-    "container.after_construct", "container.drop_accepted", "container.drop_event",
-    "container.ignore_query",    "container.before_unload", "container.on_shutdown",
-    "container.during_stop",     "container.during_burial", "container.abrupt_deaths",
+    "container.before_hello",    "container.after_accept",   "container.before_construct",
+    "container.after_construct", "container.drop_accepted",  "container.drop_event",
+    "container.ignore_query",    "container.before_unload",  "container.on_shutdown",
+    "container.during_stop",     "container.during_cleanup", "container.abrupt_deaths",
 };
 
 // Numbered as in play_launch_msgs/ComponentEvent.

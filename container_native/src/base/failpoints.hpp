@@ -17,7 +17,7 @@ enum class Failpoint : unsigned {
   before_unload,     // in the unloading thread
   on_shutdown,       // ControlShutdown was read
   during_stop,       // the stop has begun
-  during_burial,     // in the process that cleans up after a dead node
+  during_cleanup,    // in the process that cleans up after a dead node
   abrupt_deaths,     // nodes that crash, or get a signal, die with all threads where they are
   count
 };

@@ -33,7 +33,7 @@ int move_to_high_number(int fd) noexcept {
   return moved >= 0 ? moved : fd;
 }
 
-UniqueFd make_doorbell() {
+UniqueFd make_eventfd() {
   const int fd = ::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
   if (fd < 0) {
     throw std::system_error(errno, std::generic_category(), "eventfd");
@@ -41,15 +41,15 @@ UniqueFd make_doorbell() {
   return UniqueFd(move_to_high_number(fd));
 }
 
-void ring(int doorbell) noexcept {
+void notify_eventfd(int fd) noexcept {
   const std::uint64_t one = 1;
   // Fails only when the counter is full, and then all waiters are awake anyway.
-  [[maybe_unused]] const ssize_t written = ::write(doorbell, &one, sizeof one);
+  [[maybe_unused]] const ssize_t written = ::write(fd, &one, sizeof one);
 }
 
-void hush(int doorbell) noexcept {
+void clear_eventfd(int fd) noexcept {
   std::uint64_t count = 0;
-  [[maybe_unused]] const ssize_t got = ::read(doorbell, &count, sizeof count);
+  [[maybe_unused]] const ssize_t got = ::read(fd, &count, sizeof count);
 }
 
 }  // namespace play_launch

@@ -45,12 +45,12 @@ class UniqueFd {
 int move_to_high_number(int fd) noexcept;
 
 /// An eventfd to wake a thread with, at a high number. Throws std::system_error.
-UniqueFd make_doorbell();
+UniqueFd make_eventfd();
 
 /// Wakes the threads that poll it. Any thread of any process that has it, also a signal handler.
-void ring(int doorbell) noexcept;
+void notify_eventfd(int fd) noexcept;
 
-/// Forgets what was rung.
-void hush(int doorbell) noexcept;
+/// Forgets all notifications.
+void clear_eventfd(int fd) noexcept;
 
 }  // namespace play_launch

@@ -30,8 +30,8 @@ ino_t inode_of(int fd) noexcept {
 Channel::Channel(UniqueFd socket, std::size_t queue_capacity)
     : socket_(std::move(socket)),
       socket_inode_(inode_of(socket_.get())),
-      wake_reader_(make_doorbell()),
-      wake_writer_(make_doorbell()),
+      wake_reader_(make_eventfd()),
+      wake_writer_(make_eventfd()),
       capacity_(queue_capacity) {}
 
 Channel::~Channel() { stop(); }
@@ -54,7 +54,7 @@ void Channel::start(ChannelHandler& handler) {
 
 void Channel::open_gate() {
   gate_open_ = true;
-  ring(wake_reader_.get());
+  notify_eventfd(wake_reader_.get());
 }
 
 void Channel::expect_no_more() { ::shutdown(socket_.get(), SHUT_RD); }
@@ -65,8 +65,8 @@ void Channel::stop() {
     stopping_ = true;
   }
   changed_.notify_all();
-  ring(wake_reader_.get());
-  ring(wake_writer_.get());
+  notify_eventfd(wake_reader_.get());
+  notify_eventfd(wake_writer_.get());
   for (std::thread* thread : {&reader_, &writer_}) {
     if (thread->joinable()) {
       thread->join();
@@ -126,7 +126,7 @@ bool Channel::wait_readable() {
       throw std::system_error(errno, std::generic_category(), "poll");
     }
     if (fds[1].revents != 0) {
-      hush(wake_reader_.get());
+      clear_eventfd(wake_reader_.get());
     }
     if (fds[0].revents != 0) {
       return true;

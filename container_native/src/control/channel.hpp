@@ -19,6 +19,9 @@
 
 namespace play_launch::control {
 
+/// Environment variable with the number of the socket to the supervisor.
+inline constexpr const char* kSocketVariable = "PLAY_LAUNCH_CONTROL_FD";
+
 /// Receives what comes in on a Channel. All calls come from the channel's reader thread.
 class ChannelHandler {
  public:

@@ -48,7 +48,7 @@ class NodeHostObserver {
   /// The process that held the node died after on_loaded, also while it was being unloaded.
   virtual void on_crashed(std::uint64_t unique_id, const NodeDeath& death) = 0;
   /// After on_load_crashed or on_crashed: what could be cleaned up is. `complete`: that is all.
-  virtual void on_buried(std::uint64_t unique_id, bool complete) = 0;
+  virtual void on_cleaned_up(std::uint64_t unique_id, bool complete) = 0;
 };
 
 /// Where nodes live: makes them, lets their callbacks run, and destroys them. No member blocks for
@@ -80,7 +80,7 @@ class NodeHost {
 
   /// All nodes are to be gone by then: a host that can end nodes which do not end by themselves
   /// does so before. For the end of the container; an earlier deadline replaces a later one.
-  virtual void hurry(std::chrono::steady_clock::time_point) {}
+  virtual void end_by(std::chrono::steady_clock::time_point) {}
 
   /// What waits for the dead: see ControlStatus.dead_locks.
   virtual std::vector<std::string> dead_locks() const { return {}; }

@@ -36,7 +36,7 @@ constexpr const char* kDefaultName = "ComponentManager";
 constexpr auto kOrphanStopLimit = kOrphanGrace - 250ms;
 constexpr auto kOrphanLifeLimit = kOrphanGrace - 100ms;
 /// For a second request to stop.
-constexpr auto kHurriedStopLimit = 200ms;
+constexpr auto kSecondStopLimit = 200ms;
 /// For taking the container itself apart, after its nodes.
 constexpr auto kTeardownLimit = 1s;
 /// For the supervisor to read the last events.
@@ -235,12 +235,12 @@ void ContainerProcess::stop_nodes() {
   watchdog_.arm(deadline + kTeardownLimit, status, too_long);
   hit(Failpoint::during_stop);
   manager_->begin_stop([this] { stop_.wake(); }, cause == StopCause::context ? why_stopping_ : "");
-  host_->hurry(deadline);  // asks nodes to leave as well: those that the manager knows to leave
+  host_->end_by(deadline);  // asks nodes to leave as well: those that the manager knows to leave
   while (!manager_->empty() && Clock::now() < deadline) {
     stop_.wait(deadline);
     if (stop_.times_asked() > asked) {
-      deadline = std::min<SteadyTime>(deadline, Clock::now() + kHurriedStopLimit);
-      host_->hurry(deadline);
+      deadline = std::min<SteadyTime>(deadline, Clock::now() + kSecondStopLimit);
+      host_->end_by(deadline);
       watchdog_.arm(deadline + kTeardownLimit, status, too_long);
     }
   }

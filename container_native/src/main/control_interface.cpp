@@ -34,7 +34,6 @@ namespace msg = play_launch_msgs::msg;
 
 /// See ControlStatus.nodes.
 constexpr std::chrono::seconds kSilent{5};
-constexpr const char* kSocketVariable = "PLAY_LAUNCH_CONTROL_FD";
 
 static_assert(static_cast<std::uint8_t>(NodeState::constructing) == msg::NodeStatus::CONSTRUCTING);
 static_assert(static_cast<std::uint8_t>(NodeState::loaded) == msg::NodeStatus::LOADED);
@@ -58,22 +57,22 @@ msg::NodeStatus status_of(const NodeSnapshot& snapshot) {
 }  // namespace
 
 UniqueFd take_control_socket() {
-  const char* const text = std::getenv(kSocketVariable);
+  const char* const text = std::getenv(control::kSocketVariable);
   if (text == nullptr) {
     return {};
   }
   const std::string value = text;
-  ::unsetenv(kSocketVariable);
+  ::unsetenv(control::kSocketVariable);
   int fd = -1;
   const auto [end, error] = std::from_chars(value.data(), value.data() + value.size(), fd);
   if (error != std::errc() || end != value.data() + value.size() || fd < 0) {
-    throw std::runtime_error(std::string(kSocketVariable) + "=" + value +
+    throw std::runtime_error(std::string(control::kSocketVariable) + "=" + value +
                              " is no file descriptor's number");
   }
   int type = 0;
   socklen_t size = sizeof type;
   if (::getsockopt(fd, SOL_SOCKET, SO_TYPE, &type, &size) != 0 || type != SOCK_STREAM) {
-    throw std::runtime_error(std::string(kSocketVariable) + "=" + value +
+    throw std::runtime_error(std::string(control::kSocketVariable) + "=" + value +
                              " is no open stream socket; it is set by the supervisor only");
   }
   fd = move_to_high_number(fd);

@@ -34,7 +34,7 @@ extern "C" void on_stop_signal(int number) {
     }
     leave_now(kSignalExitBase + number);
   }
-  ring(signal_event_fd);
+  notify_eventfd(signal_event_fd);
   errno = error;
 }
 
@@ -56,7 +56,7 @@ bool is_ignored(int number) {
 
 }  // namespace
 
-StopRequests::StopRequests() : event_(make_doorbell()) {}
+StopRequests::StopRequests() : event_(make_eventfd()) {}
 
 void StopRequests::handle_signals() {
   signal_event_fd = event_.get();
@@ -84,7 +84,7 @@ void StopRequests::request(StopCause cause) {
   wake();
 }
 
-void StopRequests::wake() { ring(event_.get()); }
+void StopRequests::wake() { notify_eventfd(event_.get()); }
 
 void StopRequests::wait(SteadyTime deadline) {
   int timeout_ms = -1;
@@ -95,7 +95,7 @@ void StopRequests::wait(SteadyTime deadline) {
   }
   pollfd fd{event_.get(), POLLIN, 0};
   if (::poll(&fd, 1, timeout_ms) > 0) {
-    hush(event_.get());
+    clear_eventfd(event_.get());
   }
 }
 

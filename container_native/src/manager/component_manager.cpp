@@ -355,7 +355,7 @@ void ObservableComponentManager::on_crashed(std::uint64_t unique_id, const NodeD
   after_removal();
 }
 
-void ObservableComponentManager::on_buried(std::uint64_t, bool complete) {
+void ObservableComponentManager::on_cleaned_up(std::uint64_t, bool complete) {
   const std::lock_guard lock(mutex_);
   ++(complete ? totals_.undertaken : totals_.leaked);
 }

@@ -98,7 +98,7 @@ class ObservableComponentManager final : public NodeHostObserver {
   void on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) override;
   void on_gone(std::uint64_t unique_id, const std::string& why) override;
   void on_crashed(std::uint64_t unique_id, const NodeDeath& death) override;
-  void on_buried(std::uint64_t unique_id, bool complete) override;
+  void on_cleaned_up(std::uint64_t unique_id, bool complete) override;
 
  private:
   std::optional<std::string> retire(std::uint64_t unique_id, const OnAccepted& on_accepted,

@@ -19,9 +19,7 @@ namespace {
 
 std::string logger_name(const std::string& full_name) {
   std::string name = full_name.substr(1);
-  for (char& character : name) {
-    if (character == '/') character = '.';
-  }
+  std::ranges::replace(name, '/', '.');
   return name;
 }
 
@@ -123,12 +121,6 @@ constinit thread_local const RunningNode* running = nullptr;
 std::string node_name(std::string logger) {
   std::ranges::replace(logger, '.', '/');
   return "/" + logger;
-}
-
-std::string logger_name(const std::string& node) {
-  std::string name = node.substr(1);
-  std::ranges::replace(name, '/', '.');
-  return name;
 }
 
 /// Of the exception that is being handled.

@@ -182,7 +182,7 @@ void can_be_buried() {
     return 0;
   });
   CHECK(outcome.end.signal == SIGKILL);
-  memory->begin_burial();
+  memory->begin_cleanup();
   left->push_back(4);  // as a destructor might
   CHECK(*left == (std::pmr::vector<int>{1, 2, 3, 4}));
   left->~vector();

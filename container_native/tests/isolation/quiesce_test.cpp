@@ -352,21 +352,21 @@ void test_destroying_what_the_dead_left() {
     std::abort();
     return 0;
   });
-  Program burying([](Program&) {
+  Program cleaning([](Program&) {
     delete worker;
     return 0;
   });
   for (int round = 0; round < 20; ++round) {
     CrashSlot slot;
     ChildEnd crash;
-    ChildEnd burial;
+    ChildEnd cleanup;
     DonorThread donor("donor", [&] {
       crash = run_in_child(crashing, slot);
-      burial = run_in_child(burying, slot, {.name = "undertaker", .time_limit = 2s});
+      cleanup = run_in_child(cleaning, slot, {.name = "undertaker", .time_limit = 2s});
     });
     donor.join();
     CHECK(crash.signal == SIGABRT);
-    CHECK(burial.clean());
+    CHECK(cleanup.clean());
   }
 }
 

@@ -25,14 +25,14 @@ CloneIsolatedHost::CloneIsolatedHost(BackendList backends, const ExecutorChoice&
 }
 
 std::shared_ptr<IsolatedNode> CloneIsolatedHost::start(std::uint64_t unique_id, LoadRequest request,
-                                                       NodeResources resources, int doorbell) {
+                                                       NodeResources resources, int event_fd) {
   if (request.lock_memory) {
     throw LoadError("lock_memory is not for a node that shares the memory of its container");
   }
   auto domain = domains_ ? domains_->make(expected_full_name(request).value_or(request.plugin_name))
                          : nullptr;
   return std::make_shared<ClonedNode>(unique_id, backends(), choice_, std::move(request),
-                                      std::move(resources), watch_urgency(), doorbell, lock_watch_,
+                                      std::move(resources), watch_urgency(), event_fd, lock_watch_,
                                       core_dumps_, std::move(domain), domains_.get());
 }
 
@@ -65,13 +65,13 @@ std::string innermost(const std::vector<std::string>& backtrace) {
 
 ClonedNode::ClonedNode(std::uint64_t unique_id, const BackendList& backends,
                        const ExecutorChoice& choice, LoadRequest request, NodeResources resources,
-                       const WatchUrgency& watch_urgency, int doorbell, LockWatch& lock_watch,
+                       const WatchUrgency& watch_urgency, int event_fd, LockWatch& lock_watch,
                        bool core_dumps, std::unique_ptr<MemoryDomain> domain,
                        const MemoryDomains* domains)
-    : IsolatedNode(unique_id, doorbell),
+    : IsolatedNode(unique_id, event_fd),
       domains_(domains),
       domain_(std::move(domain)),
-      program_(backends, choice, std::move(request), doorbell),
+      program_(backends, choice, std::move(request), event_fd),
       donor_(unique_id, program_, process_name(program_.request()), lock_watch, core_dumps,
              std::move(resources), watch_urgency, domain_.get()) {}
 
@@ -106,7 +106,7 @@ std::optional<std::chrono::nanoseconds> ClonedNode::silence() const {
   }
   const auto silence = program_.silence();
   if (silence.value_or(kSuspicious) >= kSuspicious) {
-    ring(doorbell());  // the monitor looks whether it is still there
+    notify_eventfd(event_fd());  // the monitor looks whether it is still there
   }
   return silence;
 }

@@ -32,7 +32,7 @@ class CloneIsolatedHost final : public IsolatedHost {
 
  private:
   std::shared_ptr<IsolatedNode> start(std::uint64_t unique_id, LoadRequest request,
-                                      NodeResources resources, int doorbell) override;
+                                      NodeResources resources, int event_fd) override;
 
   const ExecutorChoice choice_;
   const bool core_dumps_;
@@ -47,7 +47,7 @@ class ClonedNode final : public IsolatedNode {
   /// `domain` is null where its private memory is ordinary memory. Throws std::system_error.
   ClonedNode(std::uint64_t unique_id, const BackendList& backends, const ExecutorChoice& choice,
              LoadRequest request, NodeResources resources, const WatchUrgency& watch_urgency,
-             int doorbell, LockWatch& lock_watch, bool core_dumps,
+             int event_fd, LockWatch& lock_watch, bool core_dumps,
              std::unique_ptr<MemoryDomain> domain, const MemoryDomains* domains);
 
   std::optional<std::chrono::nanoseconds> silence() const override;
@@ -62,10 +62,10 @@ class ClonedNode final : public IsolatedNode {
   std::string why_it_left() const override;
   NodeDeath death() override;
   bool is_cleaned_up() override;
-  void on_death_reported() override { donor_.begin_burial(); }
+  void on_death_reported() override { donor_.begin_cleanup(); }
   void ask_to_leave() override { program_.cancel(); }
   bool signal(int number) override { return donor_.signal(number); }
-  void abandon() override { donor_.end_burial(); }
+  void abandon() override { donor_.end_cleanup(); }
 
   void symbolise();
   void name_owner();

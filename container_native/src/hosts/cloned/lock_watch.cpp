@@ -14,7 +14,7 @@ using Clock = std::chrono::steady_clock;
 
 }  // namespace
 
-LockWatch::LockWatch() : begun_(make_doorbell()), done_(make_doorbell()) {
+LockWatch::LockWatch() : begun_(make_eventfd()), done_(make_eventfd()) {
   thread_ = std::thread([this] {
     ::pthread_setname_np(::pthread_self(), "lock-watch");
     watch();
@@ -22,11 +22,11 @@ LockWatch::LockWatch() : begun_(make_doorbell()), done_(make_doorbell()) {
 }
 
 LockWatch::~LockWatch() {
-  ring(done_.get());
+  notify_eventfd(done_.get());
   thread_.join();
 }
 
-void LockWatch::begin() noexcept { ring(begun_.get()); }
+void LockWatch::begin() noexcept { notify_eventfd(begun_.get()); }
 
 std::vector<std::string> LockWatch::dead_locks() const {
   Found confirmed;
@@ -42,10 +42,10 @@ std::vector<std::string> LockWatch::dead_locks() const {
 }
 
 void LockWatch::watch() noexcept {
-  std::array<pollfd, 2> rung{{{done_.get(), POLLIN, 0}, {begun_.get(), POLLIN, 0}}};
-  while (::poll(rung.data(), rung.size(), -1) < 0) {
+  std::array<pollfd, 2> signalled{{{done_.get(), POLLIN, 0}, {begun_.get(), POLLIN, 0}}};
+  while (::poll(signalled.data(), signalled.size(), -1) < 0) {
   }
-  hush(begun_.get());
+  clear_eventfd(begun_.get());
   Clock::time_point last_death = Clock::now();
   Clock::time_point last_look = last_death;
   Found before;
@@ -53,11 +53,12 @@ void LockWatch::watch() noexcept {
     const Clock::time_point now = Clock::now();
     const auto left = std::chrono::ceil<std::chrono::milliseconds>(
         last_look + look_interval(now - last_death) - now);
-    if (::poll(rung.data(), rung.size(), std::max(static_cast<int>(left.count()), 0)) > 0) {
-      if (rung[0].revents != 0) {
+    if (::poll(signalled.data(), signalled.size(), std::max(static_cast<int>(left.count()), 0)) >
+        0) {
+      if (signalled[0].revents != 0) {
         return;
       }
-      hush(begun_.get());
+      clear_eventfd(begun_.get());
       last_death = Clock::now();
     } else if (left.count() <= 0) {
       last_look = Clock::now();

@@ -23,15 +23,15 @@
 namespace play_launch::container {
 namespace {
 
-/// Statuses of a burial.
-constexpr int kBuried = 0;
+/// Exit statuses of a cleanup.
+constexpr int kComplete = 0;
 constexpr int kIncomplete = 1;
 
 }  // namespace
 
 NodeProgram::NodeProgram(const BackendList& backends, const ExecutorChoice& choice,
-                         LoadRequest request, int doorbell)
-    : backends_(backends), choice_(choice), request_(std::move(request)), doorbell_(doorbell) {}
+                         LoadRequest request, int event_fd)
+    : backends_(backends), choice_(choice), request_(std::move(request)), event_fd_(event_fd) {}
 
 NodeProgram::~NodeProgram() {
   static_cast<void>(component_.release());
@@ -117,21 +117,21 @@ void NodeProgram::take_apart() {
   partial_ = false;
 }
 
-void NodeProgram::crashed() noexcept { ring(doorbell_); }
+void NodeProgram::crashed() noexcept { notify_eventfd(event_fd_); }
 
 void NodeProgram::end_itself() noexcept {
   ends_itself_ = true;
   stop_->set();
-  ring(doorbell_);  // it leaves under the same pressure as one that is unloaded
+  notify_eventfd(event_fd_);  // it leaves under the same pressure as one that is unloaded
 }
 
 void NodeProgram::reach(NodeLife part) noexcept {
   life_.add(part);
-  ring(doorbell_);
+  notify_eventfd(event_fd_);
 }
 
-int NodeBurial::run() {
-  hit(Failpoint::during_burial);
+int NodeCleanup::run() {
+  hit(Failpoint::during_cleanup);
   if (dead_.component_ == nullptr) {
     give_back_handles();
   }
@@ -141,11 +141,11 @@ int NodeBurial::run() {
     dead_.component_.reset();
     dead_.executor_.reset();
   }
-  return dead_.partial_ ? kIncomplete : kBuried;
+  return dead_.partial_ ? kIncomplete : kComplete;
 }
 
 /// Those of a constructor that was not finished, of which nothing else is known.
-void NodeBurial::give_back_handles() {
+void NodeCleanup::give_back_handles() {
   ComponentBackend& backend = dead_.backends_[dead_.found_.backend];
   IntraProcessHub& hub = detail::ContextAccess::intra_process(*backend.context());
   dead_.handles_.for_each_node([&hub](const rcl_node_t& node) { hub.remove_all_of(node); });
@@ -153,7 +153,7 @@ void NodeBurial::give_back_handles() {
       [&backend](const auto& function) { return backend.with_logging_lock(function); });
 }
 
-void NodeBurial::remove_from_executor() {
+void NodeCleanup::remove_from_executor() {
   if (dead_.component_ == nullptr) {
     return;
   }
@@ -168,9 +168,9 @@ namespace {
 
 /// For cleaning up after a dead node. Mostly of CPU time: a process that is killed while it waits
 /// for a processor may be amidst the middleware.
-constexpr std::chrono::milliseconds kBurialCpuLimit{1000};
-constexpr std::chrono::milliseconds kBurialLimit{3000};
-/// The burial does not depend on the report, and the monitor may be busy with other nodes.
+constexpr std::chrono::milliseconds kCleanupCpuLimit{1000};
+constexpr std::chrono::milliseconds kCleanupLimit{3000};
+/// The cleanup does not depend on the report, and the monitor may be busy with other nodes.
 constexpr std::chrono::nanoseconds kReportLimit = std::chrono::milliseconds(20);
 
 std::string no_process(int error) {
@@ -223,10 +223,10 @@ void NodeDonor::donate() noexcept {
     lock_watch_.begin();
     wait_for_report();
   }
-  bury();
+  clean_up();
 }
 
-void NodeDonor::begin_burial() noexcept {
+void NodeDonor::begin_cleanup() noexcept {
   reported_ = 1;
   ::syscall(SYS_futex, &reported_, FUTEX_WAKE_PRIVATE, 1, nullptr, nullptr, 0);
 }
@@ -246,32 +246,33 @@ void NodeDonor::enter_domain(isolation::ChildOptions& options) const noexcept {
   }
 }
 
-void NodeDonor::bury() {
+void NodeDonor::clean_up() {
   gave_back_ = isolation::give_back_heaps(slot_);
   if (program_.left_remains()) {
     isolation::ChildOptions options;
     options.name = "undertaker";
     options.urgency = resources_.urgency;
-    options.time_limit = kBurialLimit;
-    options.cpu_limit = kBurialCpuLimit;
+    options.time_limit = kCleanupLimit;
+    options.cpu_limit = kCleanupCpuLimit;
     options.expendable = true;
     if (domain_ != nullptr) {
-      domain_->memory().begin_burial();
+      domain_->memory().begin_cleanup();
       enter_domain(options);
     }
-    burial_end_ = isolation::run_in_child(burial_, burial_slot_, options);
+    cleanup_end_ = isolation::run_in_child(cleanup_, cleanup_slot_, options);
   }
 }
 
 std::string NodeDonor::remains() const {
-  if (!program_.left_remains() || burial_end_.clean()) {
+  if (!program_.left_remains() || cleanup_end_.clean()) {
     return gave_back_ ? "" : "what the allocator keeps for its threads could not be given back";
   }
-  if (burial_end_.error != 0) {
-    return "cannot start a process for that: " + std::generic_category().message(burial_end_.error);
+  if (cleanup_end_.error != 0) {
+    return "cannot start a process for that: " +
+           std::generic_category().message(cleanup_end_.error);
   }
-  return burial_end_.signal != 0 ? isolation::describe_end(burial_end_, burial_slot_)
-                                 : "it died while it was being made or destroyed";
+  return cleanup_end_.signal != 0 ? isolation::describe_end(cleanup_end_, cleanup_slot_)
+                                  : "it died while it was being made or destroyed";
 }
 
 }  // namespace play_launch::container

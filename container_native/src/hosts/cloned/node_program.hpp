@@ -25,14 +25,14 @@
 namespace play_launch::container {
 
 /// The life of one isolated node, from its constructor to its destructor, as run in a child. The
-/// child notes how far it is in atomics and rings an eventfd. The locks of the container that it
+/// child notes how far it is in atomics and notifies an eventfd. The locks of the container that it
 /// takes all the same are listed in docs/isolation.md.
 class NodeProgram final : public isolation::ChildProgram {
  public:
-  /// What is referred to must outlive the child; `doorbell` is an eventfd.
+  /// What is referred to must outlive the child; `event_fd` is an eventfd.
   NodeProgram(const BackendList& backends, const ExecutorChoice& choice, LoadRequest request,
-              int doorbell);
-  /// What a dead child left is not destroyed here, see NodeBurial.
+              int event_fd);
+  /// What a dead child left is not destroyed here, see NodeCleanup.
   ~NodeProgram() override;
 
   /// On the donor, before the child: finds the component and waits until its library is open.
@@ -64,7 +64,7 @@ class NodeProgram final : public isolation::ChildProgram {
   bool left_remains() const { return partial_ || executor_ != nullptr; }
 
  private:
-  friend class NodeBurial;
+  friend class NodeCleanup;
 
   void live();
   void take_apart();
@@ -72,7 +72,7 @@ class NodeProgram final : public isolation::ChildProgram {
   const BackendList& backends_;
   const ExecutorChoice choice_;
   const LoadRequest request_;
-  const int doorbell_;
+  const int event_fd_;
 
   BackendList::Found found_;
   const std::shared_ptr<detail::StopFlag> stop_ = std::make_shared<detail::StopFlag>();
@@ -90,9 +90,9 @@ class NodeProgram final : public isolation::ChildProgram {
 
 /// Destroys what a dead child left of its node. That runs destructors on a state that may be
 /// broken: in a child of its own, with a time limit.
-class NodeBurial final : public isolation::ChildProgram {
+class NodeCleanup final : public isolation::ChildProgram {
  public:
-  explicit NodeBurial(NodeProgram& dead) : dead_(dead) {}
+  explicit NodeCleanup(NodeProgram& dead) : dead_(dead) {}
 
   int run() override;
   void cancel() noexcept override {}
@@ -123,24 +123,24 @@ class NodeDonor {
   void rise(Urgency urgency) noexcept { thread_.rise(urgency); }
   /// The death is reported. Until then, for a short time, the donor leaves the processor to those
   /// that report it: users wait for the report, not for the cleanup.
-  void begin_burial() noexcept;
-  void end_burial() { isolation::send_signal(burial_slot_, SIGKILL); }
+  void begin_cleanup() noexcept;
+  void end_cleanup() { isolation::send_signal(cleanup_slot_, SIGKILL); }
 
   /// How the node's process ended; NodeLife::ended or died.
   const isolation::ChildEnd& end() const { return end_; }
-  /// What stays behind, and why; empty: nothing. NodeLife::buried, after died.
+  /// What stays behind, and why; empty: nothing. NodeLife::finished, after died.
   std::string remains() const;
 
  private:
   void donate() noexcept;
   void wait_for_report() const noexcept;
   void enter_domain(isolation::ChildOptions& options) const noexcept;
-  void bury();
-  void donated() noexcept { program_.reach(NodeLife::buried); }
+  void clean_up();
+  void donated() noexcept { program_.reach(NodeLife::finished); }
 
   const std::uint64_t unique_id_;
   NodeProgram& program_;
-  NodeBurial burial_{program_};
+  NodeCleanup cleanup_{program_};
   const std::string process_name_;
   LockWatch& lock_watch_;
   const bool core_dumps_;
@@ -150,9 +150,9 @@ class NodeDonor {
   const MemoryDomain* const domain_;
 
   isolation::CrashSlot slot_;
-  isolation::CrashSlot burial_slot_;
+  isolation::CrashSlot cleanup_slot_;
   isolation::ChildEnd end_;
-  isolation::ChildEnd burial_end_;
+  isolation::ChildEnd cleanup_end_;
   std::atomic<std::uint32_t> reported_{0};  // a futex
   bool gave_back_ = false;                  // the memory of its threads
 

@@ -14,7 +14,7 @@ namespace play_launch::container {
 using Clock = std::chrono::steady_clock;
 
 IsolatedHost::IsolatedHost(BackendList backends)
-    : backends_(std::move(backends)), doorbell_(make_doorbell()) {
+    : backends_(std::move(backends)), event_fd_(make_eventfd()) {
   monitor_ = std::thread([this] {
     ::pthread_setname_np(::pthread_self(), "monitor");
     {
@@ -31,7 +31,7 @@ IsolatedHost::~IsolatedHost() {
     const std::lock_guard lock(mutex_);
     done_ = true;
   }
-  ring(doorbell_.get());
+  notify_eventfd(event_fd_.get());
   monitor_.join();
 }
 
@@ -41,12 +41,12 @@ void IsolatedHost::load(std::uint64_t unique_id, LoadRequest request) {
   NodeResources resources(request, urgency_);
   rise_above(resources.urgency);
   nodes_.emplace(unique_id,
-                 start(unique_id, std::move(request), std::move(resources), doorbell_.get()));
-  ring(doorbell_.get());
+                 start(unique_id, std::move(request), std::move(resources), event_fd_.get()));
+  notify_eventfd(event_fd_.get());
 }
 
 /// A node that never leaves its processor must not hold up the threads that report on it and on the
-/// others, and bury them.
+/// others, and clean up after them.
 void IsolatedHost::rise_above(Urgency node) {
   if (!is_more_urgent(node, urgency_)) {
     return;
@@ -81,12 +81,12 @@ void IsolatedHost::stop_spinning() {
   }
 }
 
-void IsolatedHost::hurry(std::chrono::steady_clock::time_point deadline) {
+void IsolatedHost::end_by(std::chrono::steady_clock::time_point deadline) {
   {
     const std::lock_guard lock(mutex_);
     end_ = std::min(end_, deadline);
   }
-  ring(doorbell_.get());
+  notify_eventfd(event_fd_.get());
 }
 
 std::optional<std::chrono::nanoseconds> IsolatedHost::silence(std::uint64_t unique_id) const {
@@ -138,14 +138,14 @@ void IsolatedHost::wait_until(Time deadline, const Nodes& nodes) const {
         std::max(deadline, Clock::now()) - Clock::now());
     timeout_ms = static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, 1'000'000));
   }
-  std::vector<pollfd> fds{{doorbell_.get(), POLLIN, 0}};
+  std::vector<pollfd> fds{{event_fd_.get(), POLLIN, 0}};
   for (const auto& [unique_id, node] : nodes) {
     if (node != nullptr && node->watched_fd() >= 0) {
       fds.push_back({node->watched_fd(), POLLIN, 0});
     }
   }
   if (::poll(fds.data(), fds.size(), timeout_ms) > 0 && fds[0].revents != 0) {
-    hush(doorbell_.get());
+    clear_eventfd(event_fd_.get());
   }
 }
 

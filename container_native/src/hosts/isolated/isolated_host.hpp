@@ -29,7 +29,7 @@ class IsolatedHost : public NodeHost {
   void unload(std::uint64_t unique_id) override;
   void give_up(std::uint64_t unique_id) override { unload(unique_id); }
   void stop_spinning() override;
-  void hurry(std::chrono::steady_clock::time_point deadline) override;
+  void end_by(std::chrono::steady_clock::time_point deadline) override;
   std::optional<std::chrono::nanoseconds> silence(std::uint64_t unique_id) const override;
   std::string wait_of(std::uint64_t unique_id) const override {
     return backends_.wait_of(unique_id);
@@ -42,7 +42,7 @@ class IsolatedHost : public NodeHost {
 
   /// Starts the process. Throws std::exception if it cannot be started.
   virtual std::shared_ptr<IsolatedNode> start(std::uint64_t unique_id, LoadRequest request,
-                                              NodeResources resources, int doorbell) = 0;
+                                              NodeResources resources, int event_fd) = 0;
   const BackendList& backends() const { return backends_; }
   const WatchUrgency& watch_urgency() const { return watch_urgency_; }
 
@@ -56,7 +56,7 @@ class IsolatedHost : public NodeHost {
   void rise_above(Urgency node);
 
   const BackendList backends_;
-  const UniqueFd doorbell_;
+  const UniqueFd event_fd_;
   const Urgency urgency_ = own_urgency();  // of the container's other threads
   WatchUrgency watch_urgency_{urgency_};
   NodeHostObserver* observer_ = nullptr;

@@ -13,7 +13,7 @@ namespace play_launch::container {
 void LeavePressure::begin(Time now) { since_ = std::min(since_, now); }
 
 LeavePressure::Limits LeavePressure::limits(Time end) const {
-  Limits limits{since_ + kPatience, since_ + kPatience + kLastPatience};
+  Limits limits{since_ + kTerminateAfter, since_ + kTerminateAfter + kKillAfter};
   if (end != Time::max()) {
     const auto whole = std::max(end - since_, Time::duration::zero());
     limits.terminate = std::min(limits.terminate, since_ + whole / 2);
@@ -53,7 +53,7 @@ LeavePressure::Time LeavePressure::due(Time end) const {
 
 void IsolatedNode::leave() noexcept {
   if (!leaving_.exchange(true)) {
-    ring(doorbell_);
+    notify_eventfd(event_fd_);
   }
 }
 
@@ -91,8 +91,8 @@ void IsolatedNode::make(LifeCall call, NodeHostObserver& observer) {
       observer.on_crashed(unique_id_, death());
       on_death_reported();
       break;
-    case LifeCall::buried:
-      observer.on_buried(unique_id_, is_cleaned_up());
+    case LifeCall::cleaned_up:
+      observer.on_cleaned_up(unique_id_, is_cleaned_up());
       break;
   }
 }

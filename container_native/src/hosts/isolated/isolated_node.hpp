@@ -27,8 +27,8 @@ class LeavePressure {
   enum class Action { none, ask, terminate, kill };
 
   /// From being asked to SIGTERM, and from there to SIGKILL, unless all must end earlier.
-  static constexpr std::chrono::seconds kPatience{1};
-  static constexpr std::chrono::seconds kLastPatience{2};
+  static constexpr std::chrono::seconds kTerminateAfter{1};
+  static constexpr std::chrono::seconds kKillAfter{2};
 
   /// It is to leave, from `now` on. Only the first call counts.
   void begin(Time now);
@@ -57,9 +57,9 @@ class IsolatedNode {
  public:
   using Time = LeavePressure::Time;
 
-  /// `doorbell` is an eventfd that is rung when there is something new to report.
-  IsolatedNode(std::uint64_t unique_id, int doorbell)
-      : unique_id_(unique_id), doorbell_(doorbell) {}
+  /// `event_fd` is an eventfd that is notified when there is something new to report.
+  IsolatedNode(std::uint64_t unique_id, int event_fd)
+      : unique_id_(unique_id), event_fd_(event_fd) {}
   IsolatedNode(const IsolatedNode&) = delete;
   IsolatedNode& operator=(const IsolatedNode&) = delete;
   virtual ~IsolatedNode() = default;
@@ -75,7 +75,7 @@ class IsolatedNode {
   Time press(Time now, Time end);
 
   /// Whether the node's processes are gone for good, and everything is reported.
-  bool is_over() const { return has_all(seen_, NodeLife::buried); }
+  bool is_over() const { return has_all(seen_, NodeLife::finished); }
 
   /// How long its executor has not come round; nothing: that is not known. Any thread.
   virtual std::optional<std::chrono::nanoseconds> silence() const { return std::nullopt; }
@@ -83,7 +83,7 @@ class IsolatedNode {
   /// Has the container's threads that belong to this node alone run that urgently. Any thread.
   virtual void rise(Urgency urgency) noexcept { static_cast<void>(urgency); }
 
-  /// Becomes readable when follow() should be called, besides the doorbell; -1 without one.
+  /// Becomes readable when follow() should be called, besides the event_fd; -1 without one.
   virtual int watched_fd() const { return -1; }
 
  protected:
@@ -100,7 +100,7 @@ class IsolatedNode {
   virtual std::string why_it_left() const = 0;
   /// Once, with NodeLife::died.
   virtual NodeDeath death() = 0;
-  /// Once, with NodeLife::died and NodeLife::buried: whether nothing of the node is left.
+  /// Once, with NodeLife::died and NodeLife::finished: whether nothing of the node is left.
   virtual bool is_cleaned_up() = 0;
   /// The death is reported: what is done about it may begin.
   virtual void on_death_reported() {}
@@ -111,7 +111,7 @@ class IsolatedNode {
   virtual void abandon() {}
 
   std::uint64_t unique_id() const { return unique_id_; }
-  int doorbell() const { return doorbell_; }
+  int event_fd() const { return event_fd_; }
   /// For messages to people.
   std::string label() const;
 
@@ -119,7 +119,7 @@ class IsolatedNode {
   void make(LifeCall call, NodeHostObserver& observer);
 
   const std::uint64_t unique_id_;
-  const int doorbell_;
+  const int event_fd_;
   std::atomic<bool> leaving_{false};
   LeavePressure pressure_;
   NodeLife seen_ = NodeLife::preparing;  // when follow() last looked

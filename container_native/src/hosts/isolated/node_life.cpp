@@ -15,7 +15,7 @@ struct Row {
 constexpr auto kNothing = NodeLife::preparing;
 
 /// In the order of the calls. Of the four in the middle exactly one holds when a life has ended or
-/// died, as nothing but `buried` follows that.
+/// died, as nothing but `finished` follows that.
 constexpr std::array kTable{
     Row{LifeCall::constructing, NodeLife::constructing, kNothing},
     Row{LifeCall::loaded, NodeLife::spinning, kNothing},
@@ -23,7 +23,7 @@ constexpr std::array kTable{
     Row{LifeCall::gone, NodeLife::ended, NodeLife::failed},
     Row{LifeCall::load_crashed, NodeLife::died, NodeLife::spinning},
     Row{LifeCall::crashed, NodeLife::died | NodeLife::spinning, kNothing},
-    Row{LifeCall::buried, NodeLife::died | NodeLife::buried, kNothing},
+    Row{LifeCall::cleaned_up, NodeLife::died | NodeLife::finished, kNothing},
 };
 
 }  // namespace

@@ -17,7 +17,7 @@ enum class NodeLife : std::uint32_t {
   left = 1 << 3,          // it was to leave, and what there was of it is destroyed
   ended = 1 << 4,         // no process is left, as it failed or left in order
   died = 1 << 5,          // no process is left, and it ended in another way
-  buried = 1 << 6,        // what can be cleaned up after it is, and no thread works on it
+  finished = 1 << 6,      // what can be cleaned up after it is, and no thread works on it
 };
 
 constexpr NodeLife operator|(NodeLife one, NodeLife other) {
@@ -56,7 +56,7 @@ enum class LifeCall : std::uint8_t {
   load_crashed,
   gone,
   crashed,
-  buried
+  cleaned_up
 };
 
 /// Which calls are due for a life, given those that were made. However seldom one looks, the calls

@@ -48,7 +48,7 @@ ProcessHost::ProcessHost(BackendList backends, const ExecutorChoice& executor, b
 }
 
 std::shared_ptr<IsolatedNode> ProcessHost::start(std::uint64_t unique_id, LoadRequest request,
-                                                 NodeResources /*resources*/, int doorbell) {
+                                                 NodeResources /*resources*/, int event_fd) {
   std::vector<std::string> arguments = arguments_;
   for (const std::string& text : request.resources) {
     arguments.insert(arguments.end(), {"--resource", text});
@@ -57,7 +57,7 @@ std::shared_ptr<IsolatedNode> ProcessHost::start(std::uint64_t unique_id, LoadRe
     arguments.emplace_back("--lock_memory");
   }
   arguments.insert(arguments.end(), ros_arguments_.begin(), ros_arguments_.end());
-  return std::make_shared<HostedNode>(unique_id, arguments, std::move(request), doorbell);
+  return std::make_shared<HostedNode>(unique_id, arguments, std::move(request), event_fd);
 }
 
 namespace {
@@ -89,8 +89,8 @@ std::string describe(const ProcessEnd& end) {
 }  // namespace
 
 HostedNode::HostedNode(std::uint64_t unique_id, const std::vector<std::string>& arguments,
-                       LoadRequest request, int doorbell)
-    : IsolatedNode(unique_id, doorbell), request_(std::move(request)) {
+                       LoadRequest request, int event_fd)
+    : IsolatedNode(unique_id, event_fd), request_(std::move(request)) {
   auto [ours, theirs] = socket_pair();
   process_.emplace(arguments, theirs);
   channel_.emplace(std::move(ours));
@@ -147,13 +147,13 @@ void HostedNode::note(NodeLife part, std::string& text, const std::string& what)
   if (!has_any(life_.so_far(), part)) {
     text = what;
     life_.add(part);
-    ring(doorbell());
+    notify_eventfd(event_fd());
   }
 }
 
 void HostedNode::on_closed() {
   closed_ = true;
-  ring(doorbell());
+  notify_eventfd(event_fd());
 }
 
 void HostedNode::on_protocol_error(const std::string& what) {
@@ -171,11 +171,11 @@ NodeLife HostedNode::look() {
   if (has_any(life, NodeLife::failed)) {
     leave();
   }
-  if (complete && !has_any(life, NodeLife::buried)) {
+  if (complete && !has_any(life, NodeLife::finished)) {
     const ProcessEnd& end = process_->end();
     const bool clean = end.signal == 0 && end.exit_code == 0;
     // How a process ends that holds no node does not matter.
-    life_.add(ending(life, clean || has_any(life, NodeLife::failed)) | NodeLife::buried);
+    life_.add(ending(life, clean || has_any(life, NodeLife::failed)) | NodeLife::finished);
   }
   return life_.so_far();
 }
@@ -191,7 +191,6 @@ NodeDeath HostedNode::death() {
 namespace {
 
 constexpr const char* kProgram = "/proc/self/exe";
-constexpr const char* kSocketVariable = "PLAY_LAUNCH_CONTROL_FD";
 /// waitid() by descriptor, for C libraries that lack the name.
 constexpr auto kByDescriptor = static_cast<idtype_t>(3);
 
@@ -232,7 +231,7 @@ class SpawnPlan {
 
 /// The environment with that control channel.
 std::vector<std::string> environment(int control_fd) {
-  const std::string prefix = std::string(kSocketVariable) + "=";
+  const std::string prefix = std::string(control::kSocketVariable) + "=";
   std::vector<std::string> entries{prefix + std::to_string(control_fd)};
   for (char** entry = environ; *entry != nullptr; ++entry) {
     if (!std::string_view(*entry).starts_with(prefix)) {

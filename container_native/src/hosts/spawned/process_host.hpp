@@ -62,7 +62,7 @@ class ProcessHost final : public IsolatedHost {
 
  private:
   std::shared_ptr<IsolatedNode> start(std::uint64_t unique_id, LoadRequest request,
-                                      NodeResources resources, int doorbell) override;
+                                      NodeResources resources, int event_fd) override;
 
   std::vector<std::string> arguments_;
   std::vector<std::string> ros_arguments_;
@@ -74,7 +74,7 @@ class HostedNode final : public IsolatedNode, private control::ChannelHandler {
  public:
   /// Starts the process, with `arguments`, and sends it the request. Throws std::exception.
   HostedNode(std::uint64_t unique_id, const std::vector<std::string>& arguments,
-             LoadRequest request, int doorbell);
+             LoadRequest request, int event_fd);
   ~HostedNode() override;
 
   int watched_fd() const override { return process_->is_reaped() ? -1 : process_->fd(); }

@@ -162,7 +162,7 @@ pid_t DeadLockSearch::holder_of(const Wait& wait) noexcept {
                                      offsetof(pthread_rwlock_t, __data.__writers_futex)}) {
       pthread_rwlock_t lock;
       const pid_t holder = read(wait.address - offset, lock) ? here::holder_of(lock) : 0;
-      if (holder != 0 && find_grave(holder)) {
+      if (holder != 0 && find_dead_thread(holder)) {
         return holder;
       }
     }
@@ -192,10 +192,10 @@ std::size_t DeadLockSearch::look(std::span<DeadLock> found) noexcept {
         return;
       }
       const pid_t holder = holder_of(*wait);
-      const std::optional<Grave> grave = holder != 0 ? find_grave(holder) : std::nullopt;
+      const std::optional<DeadThread> dead = holder != 0 ? find_dead_thread(holder) : std::nullopt;
       // The owner locked it before the living threads were listed.
-      if (grave && !is_alive(holder) && holder_of(*wait) == holder) {
-        found[count++] = {pids[i], thread, name_of(pids[i], thread), wait->address, *grave};
+      if (dead && !is_alive(holder) && holder_of(*wait) == holder) {
+        found[count++] = {pids[i], thread, name_of(pids[i], thread), wait->address, *dead};
       }
     });
   }

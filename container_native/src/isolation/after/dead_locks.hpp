@@ -20,7 +20,7 @@ struct DeadLock {
   pid_t thread = 0;
   std::array<char, 16> thread_name{};
   std::uintptr_t lock = 0;
-  Grave holder;
+  DeadThread holder;
 
   bool is_same_wait(const DeadLock& other) const {
     return thread == other.thread && lock == other.lock && holder.thread == other.holder.thread &&

@@ -55,7 +55,7 @@ void enter(const Launch& launch) noexcept {
   const pid_t pid = ::getpid();
   ChildRecord& record = launch.record;
   CrashSlot& slot = *record.slot;
-  rise(pid);
+  forget_dead_thread(pid);
   *record.registered_pid = pid;
   slot.pid = pid;
   slot.start_time = start_time_of_self();
@@ -116,10 +116,10 @@ void before_reaping(void* argument) noexcept {
   CrashSlot& slot = *launch.record.slot;
   const pid_t pid = slot.pid;
   if (slot.phase != ChildPhase::returned) {
-    bury(pid, pid, launch.name.data());
+    note_dead_thread(pid, pid, launch.name.data());
   }
-  launch.record.threads.bury([&](pid_t thread, std::uintptr_t pointer) {
-    bury(thread, pid, launch.name.data());
+  launch.record.threads.clean_up([&](pid_t thread, std::uintptr_t pointer) {
+    note_dead_thread(thread, pid, launch.name.data());
     if (pointer != 0 && slot.report.resting_thread_count < slot.report.resting_threads.size()) {
       slot.report.resting_threads[slot.report.resting_thread_count++] = pointer;
     }

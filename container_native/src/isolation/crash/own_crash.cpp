@@ -2,14 +2,10 @@
 
 #include <poll.h>
 #include <pthread.h>
-#include <sys/eventfd.h>
-#include <unistd.h>
 
-#include <cerrno>
-#include <cstdint>
-#include <system_error>
 #include <utility>
 
+#include "base/unique_fd.hpp"
 #include "isolation/crash/crash_handler.hpp"
 #include "isolation/record/own_signals.hpp"
 
@@ -25,32 +21,19 @@ int wake = -1;
 int reported = -1;
 bool has_crashed = false;
 
-void ring(int bell) noexcept {
-  const std::uint64_t one = 1;
-  [[maybe_unused]] const ssize_t written = ::write(bell, &one, sizeof one);
-}
-
 /// In the handler of the signal.
 void have_it_reported() noexcept {
   has_crashed = true;
-  ring(wake);
+  notify_eventfd(wake);
   pollfd done{reported, POLLIN, 0};
   ::poll(&done, 1, kLimit);  // no signal can interrupt it: all are blocked
-}
-
-int new_bell() {
-  const int bell = ::eventfd(0, EFD_CLOEXEC);
-  if (bell < 0) {
-    throw std::system_error(errno, std::generic_category(), "eventfd");
-  }
-  return bell;
 }
 
 }  // namespace
 
 OwnCrashWatch::OwnCrashWatch(Report report) : report_(std::move(report)) {
-  wake = new_bell();
-  reported = new_bell();
+  wake = make_eventfd().release();
+  reported = make_eventfd().release();
   thread_ = std::thread([this] {
     ::pthread_setname_np(::pthread_self(), "crash report");
     wait();
@@ -61,9 +44,9 @@ OwnCrashWatch::OwnCrashWatch(Report report) : report_(std::move(report)) {
 
 OwnCrashWatch::~OwnCrashWatch() {
   watch_own_crash(nullptr, nullptr);
-  ring(wake);
+  notify_eventfd(wake);
   thread_.join();
-  // The bells stay open: a handler may be about to use them.
+  // The eventfds stay open: a handler may be about to use them.
 }
 
 void OwnCrashWatch::wait() {
@@ -72,7 +55,7 @@ void OwnCrashWatch::wait() {
   }
   if (has_crashed) {
     survive([this] { report_(slot); });
-    ring(reported);
+    notify_eventfd(reported);
   }
 }
 

@@ -121,9 +121,9 @@ void PrivateMemory::Release::operator()(PrivateMemory* memory) const noexcept {
   ::munmap(memory->begin(), memory->size_);
 }
 
-void PrivateMemory::begin_burial() noexcept {
+void PrivateMemory::begin_cleanup() noexcept {
   new (&mutex_) std::mutex;  // the holder of the other one is dead
-  is_buried_ = true;
+  is_being_destroyed_ = true;
 }
 
 void PrivateMemory::keep(Owner memory) noexcept {
@@ -139,7 +139,7 @@ bool PrivateMemory::contains(std::uintptr_t address) const noexcept {
 
 void* PrivateMemory::do_allocate(std::size_t size, std::size_t alignment) {
   is_entered_ = true;
-  if (is_buried_) {
+  if (is_being_destroyed_) {
     return std::pmr::new_delete_resource()->allocate(size, alignment);
   }
   const std::lock_guard lock(mutex_);
@@ -148,7 +148,7 @@ void* PrivateMemory::do_allocate(std::size_t size, std::size_t alignment) {
 
 void PrivateMemory::do_deallocate(void* place, std::size_t size, std::size_t alignment) {
   is_entered_ = true;
-  if (is_buried_) {
+  if (is_being_destroyed_) {
     return;
   }
   const std::lock_guard lock(mutex_);

@@ -79,7 +79,7 @@ class PrivateMemory final : public std::pmr::memory_resource {
 
   /// The node is dead, and may have died amidst something: nothing is given back any more, and what
   /// is still allocated is ordinary memory. What the node left can be destroyed then.
-  void begin_burial() noexcept;
+  void begin_cleanup() noexcept;
 
   /// Leaves it where it is, under no key, for threads that may still use it. For one whose owner
   /// could not be destroyed.
@@ -122,7 +122,7 @@ class PrivateMemory final : public std::pmr::memory_resource {
   const std::size_t size_;
   /// Written before the lock is taken, by each thread.
   std::atomic<bool> is_entered_{false};
-  bool is_buried_ = false;
+  bool is_being_destroyed_ = false;
   std::mutex mutex_;  // guards what follows
   Blocks blocks_;
   std::pmr::unsynchronized_pool_resource pool_;

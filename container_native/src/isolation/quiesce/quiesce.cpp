@@ -37,7 +37,7 @@ constexpr nanoseconds kRetry = 100us;
 constexpr int kCarefulLooks = 5;
 /// How many times the limit to wait for threads that had no processor to be looked at on: nothing
 /// is known of them, and on a loaded machine they may be in the middle of anything.
-constexpr int kPatience = 4;
+constexpr int kTerminateAfter = 4;
 
 nanoseconds now() noexcept {
   timespec time{};
@@ -224,7 +224,7 @@ void quiesce(ChildRecord& child) noexcept {
     others = ask_to_park(child, threads);
     const nanoseconds passed = now() - begin;
     const bool all_seen = others.left <= child.seen_inside;
-    if (others.left == 0 || passed >= (all_seen ? limit : limit * kPatience)) {
+    if (others.left == 0 || passed >= (all_seen ? limit : limit * kTerminateAfter)) {
       break;
     }
     wait_for_change(child.parked_count, seen);

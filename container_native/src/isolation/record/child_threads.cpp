@@ -47,7 +47,7 @@ void Initialisations::undo() noexcept {
 
 ChildThreads::Entry::Entry(ChildThreads& threads) noexcept : threads_(threads), index_(0) {
   const pid_t self = ::gettid();
-  rise(self);
+  forget_dead_thread(self);
   for (; index_ < kMost; ++index_) {
     pid_t none = 0;
     if (threads_.places_[index_].thread.compare_exchange_strong(none, self)) {
@@ -141,7 +141,7 @@ void AlternateStack::give_back(void* released) noexcept {
 
 namespace {
 
-constexpr std::size_t kGraves = 4096;
+constexpr std::size_t kMostDeadThreads = 4096;
 
 // Written by donors and threads of children, which may be killed amidst it: no locks.
 struct Place {
@@ -150,18 +150,18 @@ struct Place {
   std::array<std::atomic<std::uint64_t>, 2> name{};
 };
 
-std::array<Place, kGraves> places;
-std::atomic<std::size_t> dug{0};
+std::array<Place, kMostDeadThreads> places;
+std::atomic<std::size_t> noted{0};
 
-std::size_t used() { return std::min<std::size_t>(dug, kGraves); }
+std::size_t used() { return std::min<std::size_t>(noted, kMostDeadThreads); }
 
 }  // namespace
 
-void bury(pid_t thread, pid_t process, std::string_view process_name) noexcept {
+void note_dead_thread(pid_t thread, pid_t process, std::string_view process_name) noexcept {
   std::array<char, 16> name{};
   std::copy_n(process_name.data(), std::min(process_name.size(), name.size() - 1), name.data());
   const auto words = std::bit_cast<std::array<std::uint64_t, 2>>(name);
-  Place& place = places[dug.fetch_add(1) % kGraves];
+  Place& place = places[noted.fetch_add(1) % kMostDeadThreads];
   place.thread = 0;
   place.process = process;
   place.name[0] = words[0];
@@ -169,7 +169,7 @@ void bury(pid_t thread, pid_t process, std::string_view process_name) noexcept {
   place.thread = thread;
 }
 
-void rise(pid_t thread) noexcept {
+void forget_dead_thread(pid_t thread) noexcept {
   const std::size_t end = used();
   for (std::size_t i = 0; i < end; ++i) {
     pid_t expected = thread;
@@ -180,18 +180,18 @@ void rise(pid_t thread) noexcept {
   }
 }
 
-std::optional<Grave> find_grave(pid_t thread) noexcept {
+std::optional<DeadThread> find_dead_thread(pid_t thread) noexcept {
   const std::size_t end = used();
   for (std::size_t i = 0; i < end; ++i) {
     const Place& place = places[i];
     if (place.thread != thread) {
       continue;
     }
-    Grave grave{thread, place.process, {}};
-    grave.process_name = std::bit_cast<std::array<char, 16>>(
+    DeadThread dead{thread, place.process, {}};
+    dead.process_name = std::bit_cast<std::array<char, 16>>(
         std::array<std::uint64_t, 2>{place.name[0], place.name[1]});
     if (place.thread == thread) {
-      return grave;
+      return dead;
     }
   }
   return std::nullopt;

@@ -82,7 +82,7 @@ class ChildThreads {
   /// for each that was killed instead of returning; `pointer` is its thread pointer if it
   /// was at rest, else 0.
   template <class Visit>
-  void bury(Visit visit) noexcept {
+  void clean_up(Visit visit) noexcept {
     const std::size_t end = used_;
     for (std::size_t i = 0; i < end; ++i) {
       if (const pid_t thread = places_[i].thread.exchange(0)) {
@@ -132,7 +132,7 @@ class AlternateStack {
 };
 
 /// A thread of a child that was killed, or died, without coming to its end.
-struct Grave {
+struct DeadThread {
   pid_t thread = 0;
   pid_t process = 0;
   std::array<char, 16> process_name{};
@@ -140,12 +140,12 @@ struct Grave {
 
 /// Remembers such a thread; only the last 4096 are known. Any thread; async-signal-safe, as are the
 /// others.
-void bury(pid_t thread, pid_t process, std::string_view process_name) noexcept;
+void note_dead_thread(pid_t thread, pid_t process, std::string_view process_name) noexcept;
 
 /// The id belongs to a living thread again.
-void rise(pid_t thread) noexcept;
+void forget_dead_thread(pid_t thread) noexcept;
 
 /// The node of that process, if it is among the dead.
-std::optional<Grave> find_grave(pid_t thread) noexcept;
+std::optional<DeadThread> find_dead_thread(pid_t thread) noexcept;
 
 }  // namespace play_launch::isolation
