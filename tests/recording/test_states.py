@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from msgspec.structs import replace
+from msgspec.structs import fields, replace
 from play_launch_msgs.msg import StateEvent as StateMessage
 from rclpy.serialization import deserialize_message
 from rclpy.validate_full_topic_name import validate_full_topic_name
@@ -111,16 +111,6 @@ GRAPH_CHANGES = st.builds(
 )
 
 
-def _process_sample(subject: tuple[SubjectKind, str], **fields: Any) -> ProcessSample:
-    kind, key = subject
-    return ProcessSample(kind=kind, key=key, **fields)
-
-
-def _group_sample(subject: tuple[SubjectKind, str], **fields: Any) -> GroupSample:
-    kind, key = subject
-    return GroupSample(kind=kind, key=key, **fields)
-
-
 FLOATS = st.floats(allow_nan=False)
 SUBJECTS = st.sampled_from(
     [
@@ -130,52 +120,29 @@ SUBJECTS = st.sampled_from(
         (SubjectKind.NODE, "/b:/[demo::Talker:2]"),
     ]
 )
-PROCESS_SAMPLES = structs(
-    _process_sample,
-    stamp_ns=STAMPS,
-    subject=SUBJECTS,
-    pid=INT32,
-    start_time=UINT64,
-    cpu_percent=FLOATS,
-    cpu_seconds=FLOATS,
-    memory_bytes=UINT64,
-    memory_kind=st.sampled_from(MemoryKind),
-    threads=UINT32,
-    descriptors=UINT32,
-    read_bytes=UINT64,
-    write_bytes=UINT64,
-    voluntary_switches=UINT64,
-    involuntary_switches=UINT64,
-)
-GROUP_SAMPLES = structs(
-    _group_sample,
-    stamp_ns=STAMPS,
-    subject=SUBJECTS,
-    group=UINT64,
-    cpu_seconds=FLOATS,
-    throttled_periods=UINT64,
-    throttled_seconds=FLOATS,
-    cpu_pressure=FLOATS,
-    memory_pressure=FLOATS,
-    io_pressure=FLOATS,
-    memory_bytes=UINT64,
-    processes=UINT64,
-    oom_kills=UINT64,
-    pids_max_hits=UINT64,
-)
-SYSTEM_SAMPLES = structs(
-    SystemSample,
-    **{
-        name: STAMPS
-        if name == "stamp_ns"
-        else {
-            "int": UINT64,
-            "float": FLOATS,
-            "tuple[float, ...]": st.lists(FLOATS, max_size=4).map(tuple),
-        }[kind]
-        for name, kind in SystemSample.__annotations__.items()
-    },
-)
+VALUES: dict[Any, st.SearchStrategy[Any]] = {
+    int: st.integers(0, 2**31 - 1),
+    float: FLOATS,
+    tuple[float, ...]: st.lists(FLOATS, max_size=4).map(tuple),
+    MemoryKind: st.sampled_from(MemoryKind),
+    SubjectKind: st.none(),
+    str: st.none(),
+}
+
+
+def samples(kind: type[ProcessSample | GroupSample | SystemSample]) -> st.SearchStrategy[Any]:
+    """Samples with any values, of the subjects that there are."""
+
+    def of(subject: tuple[SubjectKind, str]) -> st.SearchStrategy[Any]:
+        about = dict(zip(("kind", "key"), map(st.just, subject), strict=True))
+        known = {each.name: VALUES[each.type] for each in fields(kind)}
+        return structs(kind, **{name: about.get(name, value) for name, value in known.items()})
+
+    return SUBJECTS.flatmap(of)
+
+
+PROCESS_SAMPLES, GROUP_SAMPLES = samples(ProcessSample), samples(GroupSample)
+SYSTEM_SAMPLES = samples(SystemSample)
 
 
 @settings(deadline=None, max_examples=50)
