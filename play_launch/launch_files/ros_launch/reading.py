@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree as ET
@@ -120,10 +121,8 @@ def _note_lines(places: Places, implementation: Any) -> None:
             raise wrong from error
         places.file_read(path)
         content = Path(path).read_bytes() if Path(path).is_file() else b""
-        try:
+        with suppress(Exception):  # the file was read; only its lines are not known
             _note_elements(places, entity, str(Path(path).absolute()), content)
-        except Exception:  # noqa: BLE001 - the file was read; only its lines are not known
-            return entity, parser
         return entity, parser
 
     implementation.load = classmethod(load_and_note)

@@ -110,6 +110,17 @@ def test_parameters_are_evaluated_as_rcl_does(tmp_path: Path) -> None:
     assert lost(imported) == []
 
 
+def test_what_a_configuration_refuses_in_a_file_is_reported_with_its_line(tmp_path: Path) -> None:
+    content = "/**:\n  ros__parameters:\n    a: yes\n    b: 1\n"
+    node = {"executable": "e", "package": "p", "name": "n", "namespace": "/a"}
+    sources = [{"kind": "file", "content": content}]
+    imported = dumped(tmp_path, node=[{**node, "param_sources": sources}])
+    (only,) = lost(imported)
+    assert "its parameter file:3:" in only
+    (parameter,) = loaded(imported, tmp_path).nodes[0].parameters
+    assert (parameter.name, parameter.value.value) == ("b", 1)
+
+
 def test_what_has_no_place_is_reported(tmp_path: Path) -> None:
     node = {
         "executable": "$(var program)",
