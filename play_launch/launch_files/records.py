@@ -34,17 +34,6 @@ class Place(Struct, frozen=True, omit_defaults=True):
         return f"{self.file}:{self.line}" if self.line else self.file
 
 
-class LaunchOrigin(Struct, frozen=True, omit_defaults=True):
-    """Where something stands, and the includes that led there, the nearest one first."""
-
-    place: Place = Place()
-    included_from: tuple[Place, ...] = ()
-
-    def __str__(self) -> str:
-        """Write the place without the includes."""
-        return str(self.place)
-
-
 class Values(Struct, frozen=True, tag="values", omit_defaults=True):
     """A source of parameters: values that the launch file gives.
 
@@ -118,7 +107,7 @@ class _Unit(Struct, kw_only=True, omit_defaults=True):
     """
 
     id: str = ""
-    origin: LaunchOrigin = LaunchOrigin()
+    origin: Place = Place()
     where: str = ""
     package: str = ""
     name: str = ""
@@ -209,7 +198,7 @@ class Argument(Struct, frozen=True, omit_defaults=True):
     default: str | None = None
     description: str = ""
     choices: tuple[str, ...] = ()
-    origin: LaunchOrigin = LaunchOrigin()
+    origin: Place = Place()
 
 
 class TemporaryFile(Struct, frozen=True):
@@ -235,6 +224,13 @@ class Description(Struct, tag="description", omit_defaults=True):
     temporary: list[TemporaryFile] = field(default_factory=list)
 
 
+class LaunchOrigin(Struct, frozen=True, omit_defaults=True):
+    """Where something stands, and the includes that led there, the nearest one first."""
+
+    place: Place = Place()
+    included_from: tuple[Place, ...] = ()
+
+
 class EvaluationFailure(Struct, frozen=True, tag="failure", omit_defaults=True):
     """Why a launch file could not be evaluated: the first error, and where.
 
@@ -247,7 +243,7 @@ class EvaluationFailure(Struct, frozen=True, tag="failure", omit_defaults=True):
 
     def __str__(self) -> str:
         """Write one line for the error, one for each include that led there, then the rest."""
-        place = f"{self.origin}: " if self.origin.place.file else ""
+        place = f"{self.origin.place}: " if self.origin.place.file else ""
         chain = "".join(f"\n  included from {each}" for each in self.origin.included_from)
         logged = "".join(f"\n  launch: {each}" for each in self.logged)
         return f"{place}{self.message}{chain}{logged}"

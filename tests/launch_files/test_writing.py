@@ -25,7 +25,6 @@ from play_launch.launch_files.records import (
     Description,
     Event,
     LaunchedProcess,
-    LaunchOrigin,
     ParameterFile,
     Place,
     ProgramKind,
@@ -51,9 +50,7 @@ COMMON = {
         lambda found: [ParameterConfig(*pair) for pair in found.items()]
     ),
     "remappings": st.lists(st.tuples(TOPICS, TOPICS), max_size=3),
-    "origin": st.builds(
-        LaunchOrigin, st.builds(Place, st.just("/a b/x.launch.xml"), st.integers(0, 99))
-    ),
+    "origin": st.builds(Place, st.just("/a b/x.launch.xml"), st.integers(0, 99)),
 }
 PROCESSES = st.builds(
     LaunchedProcess,
@@ -359,7 +356,7 @@ def test_the_end_and_the_folder_of_a_container(tmp_path: Path) -> None:
 
 def test_origins_are_comments(tmp_path: Path) -> None:
     share = tmp_path / "x" / "y.launch.xml"
-    unit = node(name="x", origin=LaunchOrigin(Place(str(share), 7), (Place("/z.launch.xml", 1),)))
+    unit = node(name="x", origin=Place(str(share), 7))
     text = write(unit, folder=tmp_path).text
     assert "  # from x/y.launch.xml:7\n  - name: x\n" in text
 

@@ -162,7 +162,7 @@ class Members:
             named["name"] = unit.name
         if unit.namespace not in ("", "/"):
             named["namespace"] = unit.namespace
-        place = unit.origin.place
+        place = unit.origin
         where = self._paths.shown(place.file) if place.file else ""
         return Commented(
             named, f"from {where}{f':{place.line}' if place.line else ''}" * bool(where)

@@ -21,7 +21,6 @@ from play_launch.launch_files.parameters import read_sections, take_sections
 from play_launch.launch_files.records import (
     Composable,
     LaunchedProcess,
-    LaunchOrigin,
     ParameterFile,
     Place,
     Values,
@@ -179,7 +178,7 @@ def read_unit(
     if unit.name and fields.where != unit.full_name:
         fields.where += f" {unit.full_name}"
     unit.where = fields.where
-    unit.origin = LaunchOrigin(Place(file))
+    unit.origin = Place(file)
     unit.package = fields.text("package")
     unit.remappings = fields.pairs("remaps")
     environment = fields.pairs("env")

@@ -144,13 +144,13 @@ class Scene:
 
     def warned(self, text: str) -> None:
         """Note what launch_ros warns of while a part of the description is visited."""
-        self.losses.note(str(self.places.of_visited()), text)
+        self.losses.note(str(self.places.of_visited().place), text)
 
     def declared(self, action: Any, default: str | None) -> None:
         """Note a launch argument that may be given."""
         if action.name not in self._declared:
             self._declared.add(action.name)
-            origin = self.places.origin(self.places.of_part(action))
+            origin = self.places.of_part(action)
             choices = tuple(map(str, action.choices or ()))
             # launch puts the choices behind the description.
             text = str(action.description).removesuffix(f" Valid choices are: {action.choices}")

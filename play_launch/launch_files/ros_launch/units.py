@@ -40,7 +40,7 @@ def record_process(scene: Scene, action: Any) -> LaunchedProcess:
     """Return the record of an action that is about to be executed and has been prepared."""
     process = LaunchedProcess(
         id=scene.next_id("p"),
-        origin=scene.places.origin(scene.places.of_part(action)),
+        origin=scene.places.of_part(action),
         start=list(scene.causes.now),
     )
     description = action.process_description
@@ -268,7 +268,7 @@ class Composables:
         place = places.of_part(description)
         return Composable(
             id=self._scene.next_id("c"),
-            origin=places.origin(place if place.file else places.of_part(action)),
+            origin=place if place.file else places.of_part(action),
             start=list(self._scene.causes.now),
             package=request.package_name,
             plugin=request.plugin_name,

@@ -399,4 +399,4 @@ def test_what_is_only_done_in_another_way_is_noted(evaluated: Description, words
 )
 def test_the_place_is_that_of_the_action(evaluated: Description) -> None:
     line = HEAD.lstrip().count("\n", 0, HEAD.lstrip().index("return ExecuteProcess")) + 1
-    assert [each.origin.place.line for each in processes(evaluated)] == [line, line]
+    assert [each.origin.line for each in processes(evaluated)] == [line, line]

@@ -72,9 +72,9 @@ def test_a_node(prefix: Prefix) -> None:
     assert talker.ends_all
     assert (talker.sigterm_timeout, talker.sigkill_timeout) == (7.0, None)
     assert values(talker) == {"a.b": 1}
-    assert talker.origin.place.line == 5
+    assert talker.origin.line == 5
     assert (listener.name, listener.namespace, listener.remappings) == ("", "", [])
-    assert listener.origin.place.line == 14
+    assert listener.origin.line == 14
 
 
 def test_sections_count_in_the_order_of_their_first_mention(prefix: Prefix) -> None:
@@ -179,7 +179,7 @@ def test_composable_nodes(prefix: Prefix) -> None:
     assert [(each.name, each.value.value) for each in first.extra_arguments] == [
         ("use_intra_process_comms", True)
     ]
-    assert first.origin.place.line == 5
+    assert first.origin.line == 5
     assert (other.full_name, other.container) == ("/x/c", "/elsewhere/c")
 
 
