@@ -158,8 +158,7 @@ class LaunchedProcess(_Unit, kw_only=True, tag="process", omit_defaults=True):
     cwd: str = ""
     output: str = ""
     emulate_tty: bool = False
-    respawn: bool | None = None
-    """None: not said, as in some dumps."""
+    respawn: bool = False
     respawn_delay: float | None = None
     respawn_max_retries: int = -1
     ends_all: bool = False

@@ -61,7 +61,7 @@ PROCESSES = st.builds(
         st.from_regex(r"[A-Z]{1,3}", fullmatch=True), TEXTS, max_size=3
     ).map(lambda found: list(found.items())),
     prefix=st.lists(NAMES, max_size=2),
-    respawn=st.none() | st.booleans(),
+    respawn=st.booleans(),
     respawn_delay=st.none() | st.integers(1, 50).map(float),
     respawn_max_retries=st.integers(-1, 3),
     ends_all=st.booleans(),

@@ -138,7 +138,7 @@ class _Builder:
             entry = self._members.container(unit)
             self._containers[unit.full_name] = entry
             self._names[unit.id] = unit.full_name
-            if unit.respawn is not True and not unit.ends_all:
+            if not unit.respawn and not unit.ends_all:
                 self._losses.note("(containers)", "come back when they end, as with respawn")
         else:
             made = self._members.process(unit)

@@ -199,7 +199,7 @@ def read_unit(
         if not unit.package and command:
             # As that program does it: the first word is a whole command line.
             unit.command = [*command[0].split(), *command[1:]]
-        unit.respawn = fields.get("respawn", bool)
+        unit.respawn = bool(fields.get("respawn", bool))
         unit.respawn_delay = fields.get("respawn_delay", float)
     unit.sources = _sources(fields)
     _evaluate(unit, fields.losses)
