@@ -9,6 +9,7 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload, NodeStatus
 
 from tests.support.isolated import ALL_MODES, MODES, start
+from tests.support.ros import Probe
 
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
@@ -53,6 +54,14 @@ def test_nodes_whose_library_is_open_are_loaded_and_unloaded_meanwhile(opening: 
         assert len(opening.status().nodes) == 3
         opening.send(ControlUnload(unique_id=node.unique_id))
         opening.event(UNLOADED, unique_id=node.unique_id)
+
+
+def test_services_are_offered_while_the_first_library_is_opened(spawn: StartContainer) -> None:
+    container = start(spawn, environment=FOR_EVER)
+    load_slow(container)
+    until_it_waits(container)
+    with Probe() as probe:
+        assert probe.nodes() == []
 
 
 def test_a_library_behind_it_waits_and_says_so(opening: Container) -> None:
