@@ -33,9 +33,7 @@ def report(file: options.Recording, output: options.OutputBeside = None) -> int:
     output = output or beside(file, ".html")
     timeline = Timeline(file)
     gathered = Gathered(timeline)
-    for message, event in timeline.messages():
-        gathered.take(message, event)
-    gathered.finish()
+    gathered.read()
     points = tuple(_points(findings(timeline), timeline.session.started_ns))
     count = write_file(output, render(contents(gathered, points)))
     say(f"{output}: {size(count)}", beside=output)

@@ -13,9 +13,10 @@ from __future__ import annotations
 import os
 import struct
 import sys
+from collections import Counter
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import IO, TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
@@ -23,11 +24,14 @@ from msgspec import Struct
 
 from play_launch import UserError
 from play_launch.postmortem.records import (
-    INDEX,
+    LATEST,
+    RECORD,
     BrokenError,
+    Runs,
     check_end,
+    end_of_indexes,
+    equal_records,
     is_too_long,
-    is_wrong_index,
     read_attachment,
     read_chunk,
     read_content,
@@ -41,20 +45,14 @@ from play_launch.recording.mcap_file import MAGIC
 from play_launch.recording.topics import KEY, KIND
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator
+    from collections.abc import Callable, Container, Iterator
     from pathlib import Path
 
-_RECORD: Final = struct.Struct("<BQ")
-"""Kind and length of the content."""
-_MESSAGE: Final = struct.Struct("<HIQQ")
-"""Channel, sequence number, log time, publish time; the data follows."""
-_IN_CHUNK: Final = struct.Struct("<BQHIQQ")
-"""A message with what precedes each record."""
+_MESSAGE: Final = struct.Struct("<BQHIQQ")
+"""Kind, length, channel, sequence number, log time, publish time; the data follows."""
 _MESSAGE_KIND: Final = int(Opcode.MESSAGE)
 _FOR_APPLICATIONS: Final = 0x80
 """From here on the meaning of records is up to a program."""
-_LATEST: Final = (1 << 63) - 1
-"""Nanoseconds since the epoch: later times are damage."""
 _DAY: Final = 24 * 3600 * 1_000_000_000
 _LISTED: Final = 100
 """Damages that are listed one by one."""
@@ -106,18 +104,29 @@ class Message(Struct, frozen=True, gc=False):
     """By how much the system clock was ahead of the session's, as publish time and stamps are."""
 
 
-class ChannelInfo(NamedTuple):
+Take: TypeAlias = "Callable[[Message], object]"
+"""What is called with each message of a topic."""
+
+
+TakeOf: TypeAlias = "Callable[[RecordedTopic], Take | Runs | None]"
+
+
+class ChannelInfo(Struct):
     """A channel as the file describes it."""
 
     topic: RecordedTopic
     channel: Channel
     schema: Schema | None
-    is_wanted: bool
+    take: Take | None = None
+    runs: Runs | None = None
+    """Without either, its messages are only counted."""
+    count: int = 0
+    """Messages so far."""
 
 
 @dataclass(slots=True)
 class BagReader:
-    """One pass: iterate over `messages`; the rest is known as far as that has come.
+    """One pass, by `records` or `messages`; the rest is known as far as that has come.
 
     What one of several files repeats from that before it is skipped when that was read.
     """
@@ -126,8 +135,6 @@ class BagReader:
     """The file, or the folder with the files."""
     attachments: dict[str, Attachment] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    counts: dict[RecordedTopic, int] = field(default_factory=dict)
-    """Messages of each topic, the unwanted ones included."""
     damages: list[Damage] = field(default_factory=list)
     """The first ones; of more than can be listed the last stands for the rest."""
     size: int = 0
@@ -143,7 +150,10 @@ class BagReader:
     """The names of all."""
     file: str = ""
     """The name of that file, where the recording has several."""
+    _take_of: TakeOf = field(default=lambda _: None)
     _schemas: dict[int, Schema] = field(default_factory=dict)
+    _counted: list[ChannelInfo] = field(default_factory=list)
+    """Those of all files."""
     _described: set[bytes] = field(default_factory=set)
     """Records of schemas and channels."""
     _before: int = -1
@@ -152,6 +162,14 @@ class BagReader:
     _skips_repeated: bool = False
     _noted: Damage | None = None
     _unlisted: int = 0
+
+    @property
+    def counts(self) -> dict[RecordedTopic, int]:
+        """Messages of each topic, the unwanted ones included."""
+        counts: Counter[RecordedTopic] = Counter()
+        for channel in self._counted:
+            counts[channel.topic] += channel.count
+        return counts
 
     @property
     def ahead_ns(self) -> int:
@@ -190,16 +208,29 @@ class BagReader:
         Raises:
             NotARecordingError: At once, for another kind of file.
         """
+        found: list[Message] = []
+        for _ in self.records(
+            lambda topic: found.append if wanted is None or topic.name in wanted else None
+        ):
+            yield from found
+            found.clear()
+
+    def records(self, take_of: TakeOf) -> Iterator[None]:
+        """Read record by record, and call what ``take_of`` gives for the topic of a message.
+
+        Raises:
+            NotARecordingError: At once, for another kind of file.
+        """
         parts = _parts(self.path)
         self.files = tuple(part.path.name for part in parts)
+        self._take_of = take_of
         are_complete, unreadable = [], []
         for part in parts:
             self.file = part.path.name if len(parts) > 1 else ""
             self.is_complete = self._has_chunks = self._skips_repeated = False
             self.channels, self._schemas, self._described = {}, {}, set()
             try:
-                for found in self._file_messages(part.path, wanted):
-                    yield from found
+                yield from self._records_of(part.path)
                 self._before = part.number
             except NotARecordingError as error:
                 unreadable.append(error)
@@ -210,23 +241,6 @@ class BagReader:
         self.is_complete = all(are_complete)
         if len(parts) > 1:
             self._note_missing(parts)
-
-    def _file_messages(self, path: Path, wanted: Container[str] | None) -> Iterator[list[Message]]:
-        """Yield those of a file, chunk by chunk."""
-        try:
-            file = open_bag(path)
-        except OSError as error:
-            raise NotARecordingError(f"{path}: {error.strerror}") from error
-        with file:
-            try:
-                size = os.fstat(file.fileno()).st_size
-                magic = file.read(len(MAGIC))
-            except OSError as error:
-                raise NotARecordingError(f"{path}: {error.strerror}") from error
-            self.size += size
-            if magic != MAGIC:
-                raise NotARecordingError(f"{path}: it is not an MCAP file")
-            yield from self._records(file, size, wanted)
 
     def _note_missing(self, parts: list[PartFile]) -> None:
         there, last = {part.number for part in parts}, parts[-1].number
@@ -239,64 +253,58 @@ class BagReader:
         if left:
             self.note(Damage(0, "files are missing", parts[-1].path.name), places=left)
 
-    def _records(
-        self, file: IO[bytes], size: int, wanted: Container[str] | None
-    ) -> Iterator[list[Message]]:
-        at = len(MAGIC)
-        while at < size:
-            try:
-                file.seek(at)
-                head = file.read(_RECORD.size + INDEX.size)
-                kind, length = _RECORD.unpack_from(head)
-            except (OSError, struct.error) as error:
-                reason = getattr(error, "strerror", None) or "the file ends within a record"
-                self._damaged(at, reason)
-                return
-            end = at + _RECORD.size + length
-            if end > size or is_too_long(kind, length) or kind == length == 0:
-                reason = f"the file ends within a record, or its length ({length} bytes) is wrong"
-                self._damaged(at, f"{reason}; {size - at:,} bytes are not read")
-                return
-            if kind == Opcode.MESSAGE_INDEX:  # most records by far, one for each topic of a chunk
-                if is_wrong_index(head[_RECORD.size :], length):
-                    self._damaged(at, "an index has a wrong length, or is something else")
+    def _records_of(self, path: Path) -> Iterator[None]:
+        try:
+            file = open_bag(path)
+            size, magic = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
+        except OSError as error:
+            raise NotARecordingError(f"{path}: {error.strerror}") from error
+        with file:
+            self.size += size
+            if magic != MAGIC:
+                raise NotARecordingError(f"{path}: it is not an MCAP file")
+            at = len(MAGIC)
+            while at < size and not self.is_complete:
+                try:
+                    file.seek(at)
+                    kind, length = RECORD.unpack(file.read(RECORD.size))
+                except (OSError, struct.error) as error:
+                    reason = getattr(error, "strerror", None) or "the file ends within a record"
+                    self._damaged(at, reason)
+                    return
+                end = at + RECORD.size + length
+                if end > size or is_too_long(kind, length) or kind == length == 0:
+                    reason = f"the file ends within a record, or its length ({length} bytes) is "
+                    self._damaged(at, f"{reason}wrong; {size - at:,} bytes are not read")
+                    return
+                try:
+                    if kind == Opcode.MESSAGE_INDEX:
+                        end = end_of_indexes(file, at)
+                    elif kind in {Opcode.DATA_END, Opcode.FOOTER}:
+                        check_end(
+                            file, size, end if kind == Opcode.DATA_END else at, self._described
+                        )
+                        self.is_complete = True
+                    elif kind != Opcode.HEADER or at > len(MAGIC):
+                        self._record(kind, read_content(file, kind, length), at)
+                except (BrokenError, OSError) as error:
+                    # A sector that cannot be read costs the record that it is in.
+                    self._damaged(at, getattr(error, "strerror", None) or str(error))
+                    if kind in {Opcode.DATA_END, Opcode.FOOTER}:
+                        return
+                finally:
+                    yield
                 at = end
-                continue
-            found: list[Message] = []
-            try:
-                file.seek(at + _RECORD.size)
-                if kind in {Opcode.DATA_END, Opcode.FOOTER}:
-                    end_of_data = end if kind == Opcode.DATA_END else at
-                    check_end(file, size, end_of_data, self._described)
-                    self.is_complete = True
-                    return
-                if kind != Opcode.HEADER or at > len(MAGIC):
-                    self._record(kind, read_content(file, kind, length), at, wanted, found)
-            except (BrokenError, OSError) as error:
-                # A sector that cannot be read costs the record that it is in.
-                self._damaged(at, getattr(error, "strerror", None) or str(error))
-                if kind in {Opcode.DATA_END, Opcode.FOOTER}:
-                    return
-            finally:
-                yield found
-            at = end
 
-    def _record(
-        self,
-        kind: int,
-        content: bytes,
-        at: int,
-        wanted: Container[str] | None,
-        found: list[Message],
-    ) -> None:
+    def _record(self, kind: int, content: bytes, at: int) -> None:
         match kind:
             case Opcode.CHUNK:
                 self._has_chunks = True
-                self._data(read_chunk(content), at, wanted, found)
+                self._data(read_chunk(content), at)
             case Opcode.MESSAGE if not self._has_chunks:  # no writer does both
-                self._data(_RECORD.pack(kind, len(content)) + content, at, wanted, found)
+                self._data(RECORD.pack(kind, len(content)) + content, at)
             case Opcode.SCHEMA | Opcode.CHANNEL:
-                self._describe(kind, content, wanted)
+                self._describe(kind, content)
             case Opcode.ATTACHMENT:
                 attachment, is_right = read_attachment(content)
                 self.attachments[attachment.name] = attachment
@@ -312,75 +320,87 @@ class BagReader:
             case _:
                 refuse(kind)
 
-    def _data(
-        self, data: bytes, offset: int, wanted: Container[str] | None, found: list[Message]
-    ) -> None:
-        """Read the records of a chunk; add wanted messages to ``found``."""
+    def _data(self, data: bytes, offset: int) -> None:
+        """Read the records of a chunk, and pass on the messages that are wanted."""
         size = len(data)
-        begin = end = 0
-        counts: dict[int, int] = {}
-        earliest, latest, ahead_ns = self.begin or sys.maxsize, self.end, self.ahead_ns
-        unpack, head, channels = _IN_CHUNK.unpack_from, _IN_CHUNK.size, self.channels
+        begin = 0
+        earliest, ahead_ns = self.begin or sys.maxsize, self.ahead_ns
+        unpack, head, channels = _MESSAGE.unpack_from, _MESSAGE.size, self.channels
+        skips_repeated = self._skips_repeated
         # An hour of a large system has a million messages: this looks at each once.
-        try:
-            while begin < size:
-                if size - begin < head or data[begin] != _MESSAGE_KIND:
-                    begin = self._other(data, begin, wanted)
-                    continue
-                _, length, number, sequence, log_time, publish_time = unpack(data, begin)
-                end = begin + _RECORD.size + length
-                if end > size:
-                    raise BrokenError("a record reaches beyond its chunk")
-                if length < _MESSAGE.size:
-                    raise BrokenError("a message is too short")
-                channel = channels.get(number)
-                if channel is None:
-                    reason = f"a message belongs to channel {number}, which nothing describes"
-                    raise BrokenError(reason)
-                data_at = begin + head
-                begin = end
-                if sequence == REPEATED and self._skips_repeated:
-                    continue
-                counts[number] = counts.get(number, 0) + 1
-                if log_time > _LATEST:
-                    log_time = latest
-                if log_time > latest:  # noqa: PLR1730 - several times as fast as max()
-                    latest = log_time
-                if log_time < earliest:  # noqa: PLR1730 - and min()
-                    earliest = log_time
-                if channel.is_wanted:
-                    found.append(
-                        Message(
-                            channel.topic,
-                            log_time,
-                            publish_time,
-                            data[data_at:end],
-                            number,
-                            offset,
-                            sequence,
-                            ahead_ns,
-                        )
+        while begin < size:
+            if size - begin < head or data[begin] != _MESSAGE_KIND:
+                begin = self._other(data, begin)
+                continue
+            _, length, number, sequence, log_time, publish_time = unpack(data, begin)
+            end = begin + RECORD.size + length
+            if end > size:
+                raise BrokenError("a record reaches beyond its chunk")
+            if end < begin + head:
+                raise BrokenError("a message is too short")
+            if number not in channels:
+                reason = f"a message belongs to channel {number}, which nothing describes"
+                raise BrokenError(reason)
+            channel = channels[number]
+            data_at = begin + head
+            begin = end
+            if skips_repeated and sequence == REPEATED:
+                continue
+            if log_time > self.end:
+                log_time = self.end = log_time if log_time <= LATEST else self.end
+            if log_time < earliest:
+                self.begin = earliest = log_time
+            if channel.runs is not None:
+                begin = self._run(data, data_at - head, channel.runs)
+                continue
+            channel.count += 1
+            if (take := channel.take) is not None:
+                take(
+                    Message(
+                        channel.topic,
+                        log_time,
+                        publish_time,
+                        data[data_at:end],
+                        number,
+                        offset,
+                        sequence,
+                        ahead_ns,
                     )
-        finally:
-            for number, count in counts.items():
-                self.counts[channels[number].topic] += count
-            if counts:
-                self.begin, self.end = earliest, latest
+                )
 
-    def _other(self, data: bytes, begin: int, wanted: Container[str] | None) -> int:
+    def _run(self, data: bytes, begin: int, runs: Runs) -> int:
+        """Pass on the messages of equal length that begin there; return where they end."""
+        stride = RECORD.size + RECORD.unpack_from(data, begin)[1]
+        records = equal_records(data, begin)
+        topics = []
+        for number, log_time in struct.Struct(f"<9xH4xQ{stride - 23}x").iter_unpack(records):
+            channel = self.channels.get(number)
+            if channel is None or channel.runs is not runs:
+                break
+            channel.count += 1
+            topics.append(channel.topic)
+            if self.end < log_time <= LATEST:
+                self.end = log_time
+            elif log_time < self.begin:
+                self.begin = log_time
+        size: int = stride * len(topics)
+        runs.take_run(records[:size], stride, topics)
+        return begin + size
+
+    def _other(self, data: bytes, begin: int) -> int:
         """Read a record of a chunk that is no whole message; return where the next one begins."""
-        if len(data) - begin < _RECORD.size:
+        if len(data) - begin < RECORD.size:
             raise BrokenError("a chunk ends within a record")
-        kind, length = _RECORD.unpack_from(data, begin)
-        begin += _RECORD.size
+        kind, length = RECORD.unpack_from(data, begin)
+        begin += RECORD.size
         if length > len(data) - begin:
             raise BrokenError("a record reaches beyond its chunk")
         if kind == _MESSAGE_KIND:
             raise BrokenError("a message is too short")
-        self._describe(kind, data[begin : begin + length], wanted)
+        self._describe(kind, data[begin : begin + length])
         return int(begin + length)
 
-    def _describe(self, kind: int, content: bytes, wanted: Container[str] | None) -> None:
+    def _describe(self, kind: int, content: bytes) -> None:
         match kind:
             case Opcode.SCHEMA:
                 schema = read_record(Schema.read, content)
@@ -396,9 +416,14 @@ class BagReader:
                     channel.metadata.get(KIND, ""),
                     channel.metadata.get(KEY, ""),
                 )
-                is_wanted = wanted is None or topic.name in wanted
-                self.channels[channel.id] = ChannelInfo(topic, channel, described, is_wanted)
-                self.counts.setdefault(topic, 0)
+                made = ChannelInfo(topic, channel, described)
+                take = self._take_of(topic)
+                if isinstance(take, Runs):
+                    made.runs = take
+                else:
+                    made.take = take
+                self.channels[channel.id] = made
+                self._counted.append(made)
                 self._described.add(content)
             case _ if kind < _FOR_APPLICATIONS:
                 # A gigabyte of zeros, which are small in the file, would be as many records.
@@ -409,10 +434,8 @@ class BagReader:
 
 
 def _parts(path: Path) -> list[PartFile]:
-    if not path.is_dir():
-        return [PartFile(path, 0)]
     try:
-        parts = parts_of(path)
+        parts = parts_of(path) if path.is_dir() else [PartFile(path, 0)]
     except OSError as error:
         raise NotARecordingError(f"{path}: {error.strerror}") from error
     if not parts:

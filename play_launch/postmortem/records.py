@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import functools
+import re
 import struct
 import zlib
+from abc import ABC, abstractmethod
 from io import BytesIO
 from typing import IO, TYPE_CHECKING, Any, Final, NoReturn
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Chunk
+from mcap.records import Attachment
 
 from play_launch.recording.mcap_file import MAGIC
 
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
     import zstandard
+
+    from play_launch.postmortem.bag_reader import RecordedTopic
 
 _LIMITS: Final[dict[int, int]] = {
     Opcode.CHUNK: 1 << 30,
@@ -31,19 +35,34 @@ _LIMIT: Final = 1 << 24
 _HEAD: Final = 1 << 14
 """Bytes of a record in which its length stands."""
 _BLOCK: Final = 1 << 20
-INDEX: Final = struct.Struct("<HI")
-"""Channel and length of the entries, which follow."""
+RECORD: Final = struct.Struct("<BQ")
+"""Kind and length of the content."""
+_INDEX: Final = struct.Struct("<BQHI")
+"""A message index: channel and length of the entries, which follow."""
+LATEST: Final = (1 << 63) - 1
+"""Nanoseconds since the epoch: later times are damage."""
+_WINDOW: Final = 1 << 13
+_SHORT_INDEXES: Final = re.compile(rb"(?:\x07\x16\0{7}..\x10\0{3}.{16})++", re.DOTALL)
+"""Indexes of one message each."""
 _CHECKSUM: Final = struct.Struct("<I")
 _SMALL: Final = struct.Struct("<I")
 _LARGE: Final = struct.Struct("<Q")
-_COMPRESSION: Final = 8 + 8 + 8 + 4
-"""Bytes of a chunk before the name of its compression."""
+_CHUNK: Final = struct.Struct("<QQQII")
+"""First and last log time, size and checksum of the records, length of the compression's name."""
 _FOOTER: Final = struct.Struct("<BQQQI")
 """Kind, length, where the summary starts, where its offsets start, checksum."""
 
 
 class BrokenError(Exception):
     """A record is not what it should be."""
+
+
+class Runs(ABC):
+    """Takes messages of equal length many at once: of a long recording most are samples."""
+
+    @abstractmethod
+    def take_run(self, records: bytes, stride: int, topics: list[RecordedTopic]) -> None:
+        """Take records as they stand in the file, each of ``stride`` bytes, with their topics."""
 
 
 def refuse(kind: int) -> NoReturn:
@@ -63,18 +82,53 @@ def read_content(file: IO[bytes], kind: int, length: int) -> bytes:
     Raises:
         BrokenError: When they do not.
     """
-    if kind in {Opcode.CHUNK, Opcode.ATTACHMENT}:
-        begin = file.tell()
-        if _inner_length(file.read(min(length, _HEAD)), kind) != length:
-            what = "a chunk" if kind == Opcode.CHUNK else "an attachment"
-            raise BrokenError(f"the length of {what} is wrong")
-        file.seek(begin)
-    return file.read(length)
+    head = file.read(min(length, _HEAD))
+    if kind in {Opcode.CHUNK, Opcode.ATTACHMENT} and _inner_length(head, kind) != length:
+        what = "a chunk" if kind == Opcode.CHUNK else "an attachment"
+        raise BrokenError(f"the length of {what} is wrong")
+    return head + file.read(length - _HEAD) if length > _HEAD else head
 
 
-def is_wrong_index(head: bytes, length: int) -> bool:
-    """Check a message index by its first bytes: another record could have become one."""
-    return len(head) < INDEX.size or INDEX.unpack(head)[1] + INDEX.size != length
+def end_of_indexes(file: IO[bytes], at: int) -> int:
+    """Check the message indexes that begin at ``at``; return where they end.
+
+    Most records are indexes, one for each topic of a chunk: many are read at once.
+
+    Raises:
+        BrokenError: When the first one is wrong: another record could have become one.
+    """
+    file.seek(at)
+    try:
+        window = file.read(_WINDOW)
+    except OSError:  # a sector behind it cannot be read
+        file.seek(at)
+        window = file.read(_INDEX.size)
+    end = 0
+    while True:
+        if (short := _SHORT_INDEXES.match(window, end)) is not None:
+            end = short.end()
+        if len(window) - end < _INDEX.size:
+            break
+        kind, length, _, size = _INDEX.unpack_from(window, end)
+        if kind != Opcode.MESSAGE_INDEX or RECORD.size + length != _INDEX.size + size:
+            break
+        # That the file has room for the first one is known.
+        if end == 0 or end + RECORD.size + length <= len(window):
+            end += RECORD.size + length
+        else:
+            break
+    if end == 0:
+        raise BrokenError("an index has a wrong length, or is something else")
+    return at + end
+
+
+def equal_records(data: bytes, begin: int) -> bytes:
+    """Return the whole record that begins there, and those of its kind and length behind it."""
+    head = data[begin : begin + RECORD.size]
+    length = RECORD.unpack(head)[1]
+    # At most a hundred such expressions are compiled: `re` keeps them.
+    found = re.compile(b"(?:%b.{%d})++" % (re.escape(head), length), re.DOTALL).match(data, begin)
+    return found[0] if found is not None else b""
 
 
 def read_record(read: Callable[[Any], Any], content: bytes) -> Any:
@@ -94,19 +148,24 @@ def read_attachment(content: bytes) -> tuple[Attachment, bool]:
 
 def read_chunk(content: bytes) -> bytes:
     """Return the records in a chunk."""
-    chunk: Chunk = read_record(Chunk.read, content)
-    if chunk.uncompressed_size > _LIMITS[Opcode.CHUNK]:
-        raise BrokenError(f"a chunk says that it has {chunk.uncompressed_size} bytes")
-    decompress = _DECOMPRESS.get(chunk.compression)
-    if decompress is None:
-        raise BrokenError(f"a chunk is compressed by {chunk.compression!r}, which is not known")
     try:
-        data = decompress(chunk)
+        _, _, size, checksum, length = _CHUNK.unpack_from(content)
+        name = content[_CHUNK.size : _CHUNK.size + length].decode()
+        data = memoryview(content)[_CHUNK.size + length + _LARGE.size :]
+    except (struct.error, UnicodeDecodeError) as error:
+        raise BrokenError(f"a record cannot be read ({type(error).__name__}: {error})") from error
+    if size > _LIMITS[Opcode.CHUNK]:
+        raise BrokenError(f"a chunk says that it has {size} bytes")
+    decompress = _DECOMPRESS.get(name)
+    if decompress is None:
+        raise BrokenError(f"a chunk is compressed by {name!r}, which is not known")
+    try:
+        records = decompress(data, size)
     except Exception as error:  # the libraries' own types
         raise BrokenError(f"a chunk cannot be decompressed ({error})") from error
-    if chunk.uncompressed_crc not in {0, zlib.crc32(data)}:
+    if checksum not in {0, zlib.crc32(records)}:
         raise BrokenError("the checksum of a chunk is wrong")
-    return data
+    return records
 
 
 def check_end(file: IO[bytes], size: int, end_of_data: int, described: Collection[bytes]) -> None:
@@ -142,7 +201,9 @@ def check_end(file: IO[bytes], size: int, end_of_data: int, described: Collectio
 def _inner_length(head: bytes, kind: int) -> int:
     """What the length of a chunk or attachment has to be by what stands in it; -1: nothing fits."""
     try:
-        at, texts, rest = (_COMPRESSION, 1, 0) if kind == Opcode.CHUNK else (16, 2, _CHECKSUM.size)
+        at, texts, rest = (
+            (_CHUNK.size - _SMALL.size, 1, 0) if kind == Opcode.CHUNK else (16, 2, _CHECKSUM.size)
+        )
         for _ in range(texts):
             at += _SMALL.size + _SMALL.unpack_from(head, at)[0]
         return int(at + _LARGE.size + _LARGE.unpack_from(head, at)[0] + rest)
@@ -150,8 +211,8 @@ def _inner_length(head: bytes, kind: int) -> int:
         return -1
 
 
-def _zstd(chunk: Chunk) -> bytes:
-    return _decompressor().decompress(chunk.data, max_output_size=max(1, chunk.uncompressed_size))
+def _zstd(data: memoryview, size: int) -> bytes:
+    return _decompressor().decompress(data, max_output_size=max(1, size))
 
 
 @functools.cache
@@ -161,15 +222,15 @@ def _decompressor() -> zstandard.ZstdDecompressor:
     return ZstdDecompressor()
 
 
-def _lz4(chunk: Chunk) -> bytes:
+def _lz4(data: memoryview, _size: int) -> bytes:
     from lz4 import frame  # type: ignore[import-untyped]  # noqa: PLC0415
 
-    data: bytes = frame.decompress(chunk.data)
-    return data
+    records: bytes = frame.decompress(data)
+    return records
 
 
-_DECOMPRESS: Final[dict[str, Callable[[Chunk], bytes]]] = {
-    "": lambda chunk: chunk.data,
+_DECOMPRESS: Final[dict[str, Callable[[memoryview, int], bytes]]] = {
+    "": lambda data, _size: bytes(data),
     "zstd": _zstd,
     "lz4": _lz4,
 }

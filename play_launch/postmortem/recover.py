@@ -149,7 +149,8 @@ def _copy(path: Path, file: IO[bytes]) -> tuple[BagReader, int, int]:
             copy_head()
         number = channels.get(message.channel)
         if number is None:
-            _, channel, schema, _ = reader.channels[message.channel]
+            one = reader.channels[message.channel]
+            channel, schema = one.channel, one.schema
             new = schemas.get(schema.id) if schema else 0
             if schema and new is None:
                 new = writer.register_schema(schema.name, schema.encoding, schema.data)

@@ -16,18 +16,20 @@ from msgspec import Struct
 
 from play_launch.config.durations import duration
 from play_launch.config.node_key import NodeKey
-from play_launch.container.cdr.layout import CdrError
-from play_launch.container.cdr.messages import SYSTEM_STATS
+from play_launch.container.cdr.messages import read_machine
+from play_launch.postmortem.records import LATEST, Runs
 from play_launch.supervisor.events import MemoryKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from play_launch.postmortem.bag_reader import Message
+    from play_launch.postmortem.bag_reader import Message, RecordedTopic
 
 _SECOND: Final = 1_000_000_000
 _FIXED: Final = Fixed("<4xiIi4xQddQB3xII4xQQQQ")
 """A ProcessStats: all of its fields have a fixed place."""
+_RECORD: Final = Fixed(f"<15xQ8x{_FIXED.size}s")
+"""The record of one: log time and fields."""
 _MB: Final = 1_000_000
 
 
@@ -167,11 +169,14 @@ class _Series:
 
     def take(self, message: Message) -> None:
         """Keep a sample; of a long session, fewer of each hour."""
-        if len(message.data) < _FIXED.size:
-            return
-        self.times.append(message.log_time)
-        self._data += message.data[: _FIXED.size]
-        if len(self) > MOST_SAMPLES:
+        if len(message.data) >= _FIXED.size:
+            self.add(message.log_time, message.data[: _FIXED.size])
+
+    def add(self, log_time: int, data: bytes) -> None:
+        """Keep a sample of the right length."""
+        self.times.append(log_time)
+        self._data += data
+        if len(self.times) > MOST_SAMPLES:
             self._thin()
 
     def at(self, index: int) -> _Sample:
@@ -236,13 +241,12 @@ class _Series:
         return begin, last
 
 
-class Samples:
+class Samples(Runs):
     """Takes the samples of a recording, and answers questions about them at its end."""
 
     def __init__(self) -> None:
         """Begin without samples."""
         self._series: dict[str, _Series] = {}
-        self._names: dict[str, str] = {}
         self._system: list[tuple[int, bytes]] = []
         """The first sample of the machine, and the latest."""
         self._busy = _BusyTime()
@@ -252,9 +256,18 @@ class Samples:
         """Give what keeps the samples of a process."""
         return self._series.setdefault(key, _Series()).take
 
+    def take_run(self, records: bytes, stride: int, topics: list[RecordedTopic]) -> None:
+        """Take samples of processes as they stand in the file."""
+        if stride < _RECORD.size:
+            return
+        series = {topic.key: self._series.setdefault(topic.key, _Series()) for topic in topics}
+        each = Fixed(f"{_RECORD.format}{stride - _RECORD.size}x").iter_unpack(records)
+        for topic, (log_time, data) in zip(topics, each, strict=True):
+            series[topic.key].add(min(log_time, LATEST), data)
+
     def take_system(self, message: Message) -> None:
         """Take one of the machine."""
-        if not self._busy.take(message.log_time, _system(message.data)):
+        if not self._busy.take(message.log_time, read_machine(message.data)):
             # Now, as the samples of this time may be thinned later.
             self._starvations += self._starvation()
             self._busy = _BusyTime()
@@ -346,7 +359,7 @@ class Samples:
             yield disk
 
     def _of_machine(self, field: str, quantity: Quantity) -> Trend | None:
-        samples = [_system(data) for _, data in self._system]
+        samples = [read_machine(data) for _, data in self._system]
         if not samples or samples[0] is None or samples[-1] is None:
             return None
         before, after = float(samples[0][field]), float(samples[-1][field])
@@ -425,10 +438,3 @@ def _value(sample: _Sample, quantity: Quantity) -> float:
             return sample.threads
         case _:
             return sample.descriptors
-
-
-def _system(data: bytes) -> dict[str, Any] | None:
-    try:
-        return SYSTEM_STATS.read(data)
-    except CdrError:
-        return None

@@ -7,6 +7,7 @@ again, what the supervisor does, downtimes.
 from __future__ import annotations
 
 import heapq
+import math
 import re
 from typing import TYPE_CHECKING, Final
 
@@ -47,10 +48,11 @@ from play_launch.supervisor.events import (
 from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from play_launch.postmortem.bag_reader import Message, RecordedTopic
+    from play_launch.postmortem.bag_reader import Message, RecordedTopic, Take, TakeOf
+    from play_launch.postmortem.records import Runs
     from play_launch.postmortem.units import Reason, State
 
 MOST_CHANGES: Final = 300_000
@@ -67,7 +69,6 @@ _WORDED: Final = frozenset({Sequel.RELOAD, Sequel.CONTAINER_RESTART, Sequel.SHUT
 _PROCESS: Final = re.compile(r"\bprocess (\d+)\b")
 _ON_ITS_WAY: Final = frozenset({NodeState.PENDING, NodeState.UNLOADING})
 _STATES: Final = frozenset({topics.COMPONENT_EVENTS.name, topics.STATES.name, topics.LOG_ALL.name})
-_OTHERS: Final = frozenset({*PARAMETER_TOPICS, topics.OUTPUT.name, topics.SYSTEM.name})
 
 
 class Timeline:
@@ -91,18 +92,26 @@ class Timeline:
         self._waiting: list[tuple[int, int, Failure]] = []
         """Failures whose last lines may still come, and until when."""
         self._changes = 0
-        self._takes: dict[RecordedTopic, Callable[[Message], RunEvent | None]] = {}
 
-    def messages(
-        self, wanted: Container[str] | None = None
-    ) -> Iterator[tuple[Message, RunEvent | None]]:
-        """Take the messages of these topics (None: all), and give each with its event, if read.
+    def messages(self) -> Iterator[tuple[Message, RunEvent | None]]:
+        """Take all messages, and give each with its event, if read.
 
         Raises:
             NotARecordingError: At once, for another kind of file.
         """
-        for message in self.session.reader.messages(wanted):
-            yield message, self.take(message)
+        takes: dict[RecordedTopic, Callable[[Message], RunEvent | None] | None] = {}
+        for message in self.session.reader.messages():
+            topic = message.topic
+            if topic not in takes:
+                takes[topic] = self._take_of(topic)
+            take = takes[topic]
+            yield message, None if take is None else take(message)
+        self.end()
+
+    def read(self, take_of: TakeOf) -> None:
+        """Do the same, with ``take_of`` to give what takes the messages of a topic."""
+        for _ in self.session.reader.records(take_of):
+            pass
         self.end()
 
     def unit(self, kind: SubjectKind, key: str) -> Unit:
@@ -119,33 +128,42 @@ class Timeline:
             unit.kind = kind
         return unit
 
+    def of_topic(self, topic: RecordedTopic) -> Unit | None:
+        """Give the unit that a topic has the samples of, if it says."""
+        kind = SubjectKind.__members__.get(topic.kind.upper())
+        return None if kind is None else self.unit(kind, topic.key)
+
     def of_name(self, name: str) -> Unit:
         """Give the container or process of that name."""
         return self._by_key.get((False, name)) or self.unit(SubjectKind.PROCESS, name)
 
-    def take(self, message: Message) -> RunEvent | None:
-        """Take one message; return the event that it was read as, if it was."""
-        while self._waiting and message.log_time > self._waiting[0][0]:
-            self._read_lines(heapq.heappop(self._waiting)[2])
-        take = self._takes.get(message.topic)
-        if take is None:
-            take = self._takes[message.topic] = self._take_of(message.topic)
-        return take(message)
+    def runs_of(self, topic: RecordedTopic) -> Take | Runs | None:
+        """Give what takes the messages of a topic, samples of processes many at once."""
+        take = self._take_of(topic)
+        return self.samples if topic.type_name == topics.PROCESS_STATS else take
 
-    def _take_of(self, topic: RecordedTopic) -> Callable[[Message], RunEvent | None]:
+    def failures_of(self, topic: RecordedTopic) -> Take | None:
+        """Do the same without what was written and measured, which is faster."""
+        return self._take_event if topic.name in _STATES else None
+
+    def _take_of(self, topic: RecordedTopic) -> Callable[[Message], RunEvent | None] | None:
         if topic.type_name == topics.PROCESS_STATS:
-            if topic.kind.upper() in SubjectKind.__members__:
-                self.unit(SubjectKind[topic.kind.upper()], topic.key)
+            self.of_topic(topic)
             return self.samples.of(topic.key)
         if topic.type_name == topics.GROUP_STATS:
             return self.groups.of(topic.key)
         if topic.name == topics.OUTPUT.name:
-            return self.lines.take
+            return self._take_line
         if topic.name == topics.SYSTEM.name:
             return self.samples.take_system
         if topic.name in PARAMETER_TOPICS:
             return self._take_parameters
-        return self._take_event if topic.name in _STATES else _ignore
+        return self._take_event if topic.name in _STATES else None
+
+    def _take_line(self, message: Message) -> None:
+        if self._waiting:
+            self._read_lines(message.log_time)
+        self.lines.take(message)
 
     def _take_event(self, message: Message) -> RunEvent | None:
         event = self.session.event(message)
@@ -181,8 +199,7 @@ class Timeline:
 
     def end(self) -> None:
         """Finish: no message comes any more, and units that are down stay down."""
-        while self._waiting:
-            self._read_lines(heapq.heappop(self._waiting)[2])
+        self._read_lines()
         self.interruptions += self._version1.interruptions()
         for unit in self.units:
             if unit.down_since_ns and unit.failure is not None:
@@ -410,11 +427,13 @@ class Timeline:
         """Give the last lines of a unit up to its latest change of state."""
         return self.lines.of(unit.container, unit.name, unit.since_ns + _LATE_LINES)
 
-    def _read_lines(self, failure: Failure) -> None:
-        until = failure.log_time + _LATE_LINES
-        if failure.container:  # when a node is loaded again, other lines follow
-            until = min(until, failure.back_at or until)
-        failure.last_lines = self.lines.of(failure.container, failure.who, until)
+    def _read_lines(self, before: float = math.inf) -> None:
+        """Give failures their last lines, which have all come before that log time."""
+        while self._waiting and self._waiting[0][0] < before:
+            until, _, failure = heapq.heappop(self._waiting)
+            if failure.container:  # when a node is loaded again, other lines follow
+                until = min(until, failure.back_at or until)
+            failure.last_lines = self.lines.of(failure.container, failure.who, until)
 
 
 def read_timeline(path: Path, *, only_failures: bool = False) -> Timeline:
@@ -426,25 +445,5 @@ def read_timeline(path: Path, *, only_failures: bool = False) -> Timeline:
         NotARecordingError: For another kind of file.
     """
     timeline = Timeline(path)
-    for _ in timeline.messages(_Wanted(only_failures=only_failures)):
-        pass
+    timeline.read(timeline.failures_of if only_failures else timeline.runs_of)
     return timeline
-
-
-def _ignore(_message: Message) -> None:
-    """Take a message that the user recorded besides."""
-
-
-class _Wanted:
-    """The topics that are read: what the user recorded besides does not matter here."""
-
-    def __init__(self, *, only_failures: bool) -> None:
-        self._names = _STATES if only_failures else _STATES | _OTHERS
-        self._has_samples = not only_failures
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._names or (
-            self._has_samples
-            and str(name).startswith("/play_launch/")
-            and str(name).endswith(("/stats", "/cgroup"))
-        )

@@ -5,10 +5,10 @@ What their fields mean is said in the interface definitions; a test compares the
 
 from __future__ import annotations
 
-from struct import Struct
-from typing import Final
+from struct import Struct, error
+from typing import Any, Final, NamedTuple
 
-from play_launch.container.cdr.layout import Layout, split_time, text_bytes
+from play_launch.container.cdr.layout import CdrError, Layout, split_time, text_bytes
 
 COMPONENT_EVENT: Final = Layout(
     "stamp:t event_type:B unique_id:Q attempt:Q full_node_name:s package_name:s plugin_name:s "
@@ -81,6 +81,10 @@ LOG: Final = Layout("stamp:t level:B name:s msg:s file:s function:s line:I")
 _LOG_HEAD: Final = Struct("<4siIB3xI")
 """Encapsulation (little-endian CDR), stamp, level, and the length of the first string."""
 _LENGTH: Final = Struct("<I")
+_PERCENT: Final = Struct("<12xd")
+"""What precedes the sequences of a SystemStats, with its encapsulation."""
+_FIGURES: Final = Struct("<QQ24xQ24xd")
+"""Of what follows them: the names are in `read_machine`."""
 _ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 _PADDING: Final = (b"\0", b"\0\0\0\0", b"\0\0\0", b"\0\0")
 """A string's terminator and the padding to the next 4 bytes, by its length modulo 4 with it."""
@@ -124,3 +128,53 @@ def log_message(
             pack(line),
         )
     )
+
+
+class LogFields(NamedTuple):
+    """What a ``rcl_interfaces/Log`` holds, up to its text."""
+
+    stamp_ns: int
+    level: int
+    name: str
+    message: str
+
+
+def read_log(data: bytes) -> LogFields:
+    """Read the beginning of what `log_message` writes, in a fifth of the time of `LOG.read`.
+
+    Raises:
+        CdrError: When it is no such message.
+    """
+    try:
+        head, seconds, nanoseconds, level, size = _LOG_HEAD.unpack_from(data)
+        at = _LOG_HEAD.size + size
+        name = data[_LOG_HEAD.size : data.index(0, _LOG_HEAD.size, at)]
+        at += -at % 4
+        (size,) = _LENGTH.unpack_from(data, at)
+        at += _LENGTH.size
+        message = data[at : data.index(0, at, at + size)]
+    except (error, ValueError) as reason:
+        raise CdrError(str(reason)) from reason
+    if head[:2] != _ENCAPSULATION[:2]:
+        raise CdrError("it does not begin as little-endian CDR")
+    texts = (text.decode("utf-8", "replace") for text in (name, message))
+    return LogFields(seconds * 1_000_000_000 + nanoseconds, level, *texts)
+
+
+def read_machine(data: bytes) -> dict[str, Any] | None:
+    """Read of a SystemStats what is judged, in a tenth of the time of `SYSTEM_STATS.read`.
+
+    None for another message.
+    """
+    names = ("memory_total", "memory_available", "disk_free", "cpu_some_avg10")
+    try:
+        (percent,) = _PERCENT.unpack_from(data)
+        at = _PERCENT.size
+        for _ in range(2):  # a sequence for the load of each core, and for its frequency
+            (count,) = _LENGTH.unpack_from(data, at)
+            at += _LENGTH.size
+            at += count and (4 - at) % 8 + 8 * count  # aligned behind the encapsulation
+        figures = _FIGURES.unpack_from(data, at + (4 - at) % 8)
+    except error:
+        return None
+    return {"cpu_percent": percent, **dict(zip(names, figures, strict=True))}

@@ -12,8 +12,14 @@ from play_launch.postmortem.parameters import shortened
 from play_launch.postmortem.report.configuration import Configuration, configuration
 from play_launch.postmortem.report.gather import Arrival, Mark, PageRow  # noqa: TC001 - fields of a Struct
 from play_launch.postmortem.report.page import shown
-from play_launch.postmortem.report.series import packed, quantised, time_planes, value_planes
-from play_launch.postmortem.report.usage import PROCESS_COLUMNS, SYSTEM_COLUMNS
+from play_launch.postmortem.report.usage import (
+    PROCESS_COLUMNS,
+    SYSTEM_COLUMNS,
+    packed,
+    quantised,
+    time_planes,
+    value_planes,
+)
 
 if TYPE_CHECKING:
     from array import array

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from array import array
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final
@@ -9,8 +10,9 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.container.cdr.layout import CdrError
-from play_launch.container.cdr.messages import PROCESS_STATS
-from play_launch.postmortem.events import UnreadableEventError, event_of
+from play_launch.container.cdr.messages import SYSTEM_STATS, read_log
+from play_launch.postmortem.events import UnreadableEventError
+from play_launch.postmortem.records import Runs
 from play_launch.postmortem.report.lines import Lines
 from play_launch.postmortem.report.page import shown
 from play_launch.postmortem.report.usage import Rates, Usage
@@ -22,19 +24,19 @@ from play_launch.supervisor.events import (
     ContainerState,
     LogRecord,
     NodeState,
-    OutputLine,
     ProcessEventKind,
     SubjectKind,
-    SystemSample,
 )
 
 if TYPE_CHECKING:
-    from play_launch.postmortem.bag_reader import Message
+    from collections.abc import Callable
+
+    from play_launch.postmortem.bag_reader import Message, RecordedTopic, Take
     from play_launch.postmortem.timeline import Timeline
     from play_launch.postmortem.units import FailureEvent, State
-    from play_launch.supervisor.events import RunEvent
 
-_USED = PROCESS_STATS.picker("cpu_percent", "memory_bytes", "memory_kind")
+_USED: Final = struct.Struct("<15xQ8x28xd8xQB")
+"""The record of a ProcessStats: log time, percent of a core, bytes, and what they count."""
 _STATS: Final = "/play_launch/…/stats"
 """Stands for the topics that hold what one unit used each."""
 _ARRIVALS: Final = 15
@@ -134,8 +136,8 @@ class Lanes(Struct):
     ends: array[float]
 
 
-class Gathered:
-    """Takes each message of a recording, and draws the timeline when it is whole."""
+class Gathered(Runs):
+    """Reads a recording, and draws its timeline when that is whole."""
 
     def __init__(self, timeline: Timeline) -> None:
         self.timeline = timeline
@@ -143,42 +145,80 @@ class Gathered:
         self.end = 0.0
         self.started_ns = 0
         self._marked = 0
+        self._rows: dict[RecordedTopic, int] = {}
+        """Of the topics that have samples."""
 
-    def take(self, message: Message, event: RunEvent | None) -> None:
-        """Take the next message, of any topic; the timeline took it before."""
+    def read(self) -> None:
+        """Read the recording.
+
+        Raises:
+            NotARecordingError: At once, for another kind of file.
+        """
+        self.timeline.read(self._take_of)
+        self.lines.prune()
+        self.usage.finish()
+
+    def _take_of(self, topic: RecordedTopic) -> Take | Runs:
+        """Give what takes the messages of a topic: first the timeline does, then the page."""
+        fold = self.timeline.runs_of(topic)
+        if isinstance(fold, Runs):
+            unit = self.timeline.of_topic(topic)
+            self._rows[topic] = NO_UNIT if unit is None else unit.number
+            return self
+        draw: Callable[[Message, float, object], None] = self._draw_event
+        if topic.name == topics.OUTPUT.name:
+            draw = self._draw_line
+        elif topic.name == topics.SYSTEM.name:
+            draw = self._draw_machine
+
+        def take(message: Message) -> None:
+            event = fold(message) if fold is not None else None
+            at = self._at_now(message.log_time)
+            self.rates.add(topic.name, at)
+            try:
+                draw(message, at, event)
+            except (CdrError, UnreadableEventError) as error:
+                self.timeline.session.note_damage(message, error)
+
+        return take
+
+    def take_run(self, records: bytes, stride: int, topics: list[RecordedTopic]) -> None:
+        """Take samples of processes."""
+        self.timeline.samples.take_run(records, stride, topics)
+        if stride < _USED.size:
+            return
+        latest = self.timeline.session.reader.end
+        self.rates.add(_STATS, self._at_now(latest), len(topics))
+        used = struct.Struct(f"{_USED.format}{stride - _USED.size}x")
+        process, rows = self.usage.process, self._rows
+        for topic, (log_time, cpu, memory, kind) in zip(
+            topics, used.iter_unpack(records), strict=True
+        ):
+            # Most messages of a long session, so without further calls.
+            at = max(0.0, (min(log_time, latest) - self.started_ns) / 1e6)
+            process(rows[topic], at, cpu, memory, kind)
+
+    def _at_now(self, log_time: int) -> float:
         # What stands at the head of the file is known by now.
         self.started_ns = self.started_ns or self.timeline.session.started_ns
-        at = self.at(message.log_time)
+        at = self.at(min(log_time, self.timeline.session.reader.end))
         self.end = max(self.end, at)
-        topic = message.topic
-        is_sample = topic.type_name == topics.PROCESS_STATS
-        self.rates.add(_STATS if is_sample else topic.name, at)
-        try:
-            if is_sample:
-                # Most messages of a long session: they are read without becoming events.
-                unit = self.timeline.unit(SubjectKind[topic.kind.upper()], topic.key)
-                self.usage.process(unit.number, at, *_USED(message.data))
-            elif topic.name in {topics.OUTPUT.name, topics.SYSTEM.name}:
-                event = event_of(message)
-        except (CdrError, KeyError, UnreadableEventError) as error:
-            self.timeline.session.note_damage(message, error)
-        match event:
-            case OutputLine():
-                self.lines.output(at, event)
-            case SystemSample():
-                self.usage.machine(at, event)
-            case LogRecord() if event.level >= INFO and event.name != REPORTED_LOGGER:
-                self.lines.add(at, NO_UNIT, event.level, event.message)
+        return at
+
+    def _draw_line(self, message: Message, at: float, _: object) -> None:
+        self.lines.output(at, read_log(message.data))
+
+    def _draw_machine(self, message: Message, at: float, _: object) -> None:
+        self.usage.machine(at, SYSTEM_STATS.read(message.data))
+
+    def _draw_event(self, _: Message, at: float, event: object) -> None:
+        if isinstance(event, LogRecord) and event.level >= INFO and event.name != REPORTED_LOGGER:
+            self.lines.add(at, NO_UNIT, event.level, event.message)
         for failure in self.timeline.events[self._marked :]:
             if (mark := self._mark(failure)) is not None:
                 self.lines.failure(mark.at)
                 self.lines.add(mark.at, mark.row, ERROR, f"{mark.what}: {mark.reason}")
         self._marked = len(self.timeline.events)
-
-    def finish(self) -> None:
-        """Finish: no message comes any more."""
-        self.lines.prune()
-        self.usage.finish()
 
     def at(self, log_time: int) -> float:
         return max(0.0, (log_time - self.started_ns) / 1e6)

@@ -11,10 +11,10 @@ from msgspec import Struct, field
 
 from play_launch.postmortem.report.page import shown
 from play_launch.postmortem.timeline import Timeline  # noqa: TC001 - a field of a Struct
-from play_launch.recording.console_format import WARN, line_level
+from play_launch.recording.console_format import WARN
 
 if TYPE_CHECKING:
-    from play_launch.supervisor.events import OutputLine
+    from play_launch.container.cdr.messages import LogFields
 
 MOST: Final = 400_000
 """Lines."""
@@ -50,20 +50,20 @@ class Lines(Struct):
     _named: int = 0
     """Units whose loggers are known."""
 
-    def output(self, at: float, event: OutputLine) -> None:
+    def output(self, at: float, line: LogFields) -> None:
         """Take a line of output; its head is left out where the columns say the same."""
-        text, row = event.text, self.timeline.of_name(event.process).number
+        text, row = line.message, self.timeline.of_name(line.name).number
         head = _HEAD.match(text)
         if head:
             self._name_loggers()
             rest, logger = text[head.end() :], head[1]
-            is_own = (event.process, logger) in self._loggers
+            is_own = (line.name, logger) in self._loggers
             text = rest if is_own else f"[{logger}]: {rest}"
             # A logger's name is that of its node with dots, perhaps with more behind it.
-            while logger and (event.process, logger) not in self._loggers:
+            while logger and (line.name, logger) not in self._loggers:
                 logger = logger.rpartition(".")[0]
-            row = self._loggers.get((event.process, logger), row)
-        self.add(at, row, line_level(event), text + " [cut]" if event.truncated else text)
+            row = self._loggers.get((line.name, logger), row)
+        self.add(at, row, line.level, text)
 
     def _name_loggers(self) -> None:
         units = self.timeline.units

@@ -56,9 +56,7 @@ def page_of(recording: Path, output: Path) -> None:
 def gather(recording: Path) -> Gathered:
     timeline = Timeline(recording)
     gathered = Gathered(timeline)
-    for message, event in timeline.messages():
-        gathered.take(message, event)
-    gathered.finish()
+    gathered.read()
     return gathered
 
 
