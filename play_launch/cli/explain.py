@@ -21,8 +21,7 @@ from play_launch.postmortem.timeline import read_timeline
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from play_launch.postmortem.declared import DeclaredPlace
-    from play_launch.postmortem.findings import Finding
+    from play_launch.postmortem.findings import DeclaredPlace, Finding
     from play_launch.postmortem.parameters import Changed, ParametersOfALife
     from play_launch.postmortem.timeline import Timeline
     from play_launch.postmortem.units import Downtime

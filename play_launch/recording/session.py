@@ -46,6 +46,7 @@ SCHEMA_VERSION: Final = 1
 METADATA_NAME: Final = "play_launch.session"
 ROS_DISTRO: Final = "ros_distro"
 """A name in it; empty where the environment does not say."""
+RESOLVED: Final = "resolved_config.json"
 INCLUDED: Final = "includes/"
 PARAMETERS: Final = "parameters/"
 """What the names of attached files begin with."""
@@ -135,7 +136,7 @@ def write_head(
             # Numbered: files of the same name may come from different folders.
             writer.attach(f"{kind}{number}-{name}", "application/yaml", text, time=now)
     writer.attach(
-        "resolved_config.json",
+        RESOLVED,
         "application/json",
         text_bytes(description.resolved_config),
         time=now,

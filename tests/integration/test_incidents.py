@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from play_launch.postmortem.elf_files import read_elf
+from play_launch.postmortem.source_lines import read_elf
 from play_launch.postmortem.timeline import read_timeline
 from tests.support.mounts import mounted
 from tests.support.replay import COMMAND, replaying, run

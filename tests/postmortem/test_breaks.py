@@ -9,16 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import pytest
 
 from play_launch.postmortem import detect
-from play_launch.postmortem.detect import (
-    control_group,
-    growth,
-    incompatible_qos,
-    late_bring_up,
-    never_loaded,
-    recording,
-    restart_loop,
-    starvation,
-)
+from play_launch.postmortem.detect import bring_up, failures, incompatible_qos, recording, resources
 from play_launch.postmortem.samples import _is_busy
 from play_launch.postmortem.timeline import Timeline
 from play_launch.postmortem.units import Fault
@@ -68,7 +59,7 @@ BREAKS: Final = {
         test_timeline.test_a_recording_without_an_end_is_no_failure_and_a_full_disk_is,
     ),
     "grew": Break(
-        growth.detect,
+        resources._growing,
         "if key not in failed",
         "if key in failed",
         test_timeline.test_who_grows_without_failing,
@@ -92,7 +83,7 @@ BREAKS: Final = {
         lambda path: test_timeline.test_what_is_killed_for_its_own_sake(Scene(), path),
     ),
     "late_bring_up": Break(
-        late_bring_up.detect,
+        bring_up._late,
         "later < _LATER",
         "later > _LATER",
         lambda path: test_detect.test_a_late_bring_up_with_its_critical_chain(path, 31, True),
@@ -106,31 +97,31 @@ BREAKS: Final = {
         ),
     ),
     "not_loaded": Break(
-        never_loaded.detect,
+        bring_up._missing,
         "state not in _MISSING",
         "state in _MISSING",
         lambda path: test_timeline.test_a_node_that_was_never_loaded(path, NodeState.PENDING),
     ),
     "not_started": Break(
-        never_loaded.detect,
+        bring_up._missing,
         "state in _GAVE_UP",
         "state not in _GAVE_UP",
         test_detect.test_a_process_that_cannot_be_started,
     ),
     "oom": Break(
-        control_group.detect,
+        resources._limited,
         "if group.oom_times",
         "if False",
         test_detect.test_what_the_kernel_kills_and_refuses_for_limits,
     ),
     "pids_max": Break(
-        control_group.detect,
+        resources._limited,
         "if group.refused_times",
         "if False",
         test_detect.test_what_the_kernel_kills_and_refuses_for_limits,
     ),
     "restart_loop": Break(
-        restart_loop.detect,
+        failures._looping,
         "end - begin <= _WITHIN",
         "end - begin > _WITHIN",
         lambda path: test_detect.test_a_restart_loop(path, 2, True),
@@ -142,7 +133,7 @@ BREAKS: Final = {
         lambda path: test_timeline.test_a_slow_constructor_with_how_long_it_took(Scene(), path),
     ),
     "starved": Break(
-        starvation.detect,
+        resources._starving,
         "hit=times[0].hit",
         "hit=()",
         lambda path: test_timeline.test_who_starved_whom(path, 60.0, 30.0, True),
@@ -154,13 +145,13 @@ BREAKS: Final = {
         lambda path: test_timeline.test_who_starved_whom(path, 0.0, 99.0, False),
     ),
     "throttled": Break(
-        control_group.detect,
+        resources._limited,
         "lasted * _THROTTLED",
         "lasted",
         lambda path: test_detect.test_a_unit_that_its_cpu_limit_throttles(path, 0.3, True),
     ),
     "throttled at rest": Break(
-        control_group.detect,
+        resources._limited,
         "lasted * _THROTTLED",
         "0",
         lambda path: test_detect.test_a_unit_that_its_cpu_limit_throttles(path, 0.05, False),

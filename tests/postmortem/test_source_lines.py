@@ -7,20 +7,23 @@ import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.postmortem.elf_files import debug_files, read_elf
 from play_launch.postmortem.findings import Finding
-from play_launch.postmortem.frames import Frame, frame_of
+from play_launch.postmortem.frames import Frame, Signature, frame_of
 from play_launch.postmortem.source_lines import (
-    Backtrace,
     Module,
-    SourceLines,
+    SourceLine,
+    debug_files,
     located,
     module_of,
-    source_lines,
+    read_elf,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 SOURCE = """int other(int x);
 int add(int x) {
@@ -49,11 +52,25 @@ class Library:
         line = next(line for line in table.splitlines() if line.endswith(f" {function}"))
         return int(line.split()[0], 16)
 
-    def ask(self, *offsets: int, module: Module | None = None, is_fault: bool) -> SourceLines:
+    def ask(self, *offsets: int, module: Module | None = None, is_fault: bool) -> Finding:
         module = module or self.module
         frames = [Frame("", "", module.name, offset) for offset in offsets]
-        (found,) = source_lines([Backtrace(frames, [module], is_fault)], (self.folder,))
+        signature = Signature("SIGSEGV" if is_fault else "SIGABRT", ())
+        (found,) = located([crash(frames, module, signature=signature)], (self.folder,))
         return found
+
+
+def crash(frames: Iterable[Frame], *modules: Module, signature: Signature | None = None) -> Finding:
+    return Finding(
+        kind="crashed",
+        rank=0,
+        says="crashed",
+        who="/a",
+        times_ns=(1,),
+        frames=tuple(frames),
+        modules=modules,
+        signature=signature,
+    )
 
 
 def run(*command: object) -> None:
@@ -74,16 +91,22 @@ def library(tmp_path: Path) -> Library:
     return build(tmp_path, "-g")
 
 
-def line(found: SourceLines, number: int = 0) -> int:
+def line(found: Finding, number: int = 0) -> int:
     assert not found.problems
-    return found.lines[number].line
+    return known(found, number).line
+
+
+def known(found: Finding, number: int = 0) -> SourceLine:
+    each = found.lines[number]
+    assert each is not None
+    return each
 
 
 def test_the_lines_of_a_fault_and_of_a_call(library: Library) -> None:
     add, other = library.address("add"), library.address("other")
     found = library.ask(add, other, is_fault=True)
     assert line(found) == 2
-    assert Path(found.lines[0].file).name == "lib.c"
+    assert Path(known(found).file).name == "lib.c"
     # The other is where a call returns: what precedes it counts, which ends the function before.
     assert 2 <= line(found, 1) <= 6
     assert line(library.ask(other, is_fault=True)) == 7
@@ -94,7 +117,7 @@ def test_a_path_through_a_build_folder_is_shortened(tmp_path: Path) -> None:
     (tmp_path / "build").mkdir()
     library = build(tmp_path, "-g", source=tmp_path / "build" / ".." / "lib.c")
     found = library.ask(library.address("add"), is_fault=True)
-    assert found.lines[0].file == str(tmp_path / "lib.c")
+    assert known(found).file == str(tmp_path / "lib.c")
 
 
 def test_a_program_at_a_fixed_address(tmp_path: Path) -> None:
@@ -147,44 +170,44 @@ def test_a_debug_file_of_another_build_is_not_believed(library: Library, tmp_pat
     (tmp_path / "other").mkdir()
     shutil.copy(build(tmp_path / "other", "-g", text=f"\n\n{SOURCE}").path, debug)
     found = library.ask(at, is_fault=True)
-    assert not found.lines
-    assert "no debug file" in found.problems["libadd.so"]
+    assert not any(found.lines)
+    assert "no debug file" in found.problems[0]
 
 
 def test_another_build_is_named_and_gives_no_line(library: Library) -> None:
     then, at = library.module, library.address("add")
     build(library.path.parent, "-g", text=f"\n\n{SOURCE}")
     found = library.ask(at, module=then, is_fault=True)
-    assert not found.lines
-    assert "is another build now" in found.problems["libadd.so"]
-    assert then.build_id[:12] in found.problems["libadd.so"]
+    assert not any(found.lines)
+    assert "is another build now" in found.problems[0]
+    assert then.build_id[:12] in found.problems[0]
 
 
 def test_without_debug_information_the_fix_is_named(tmp_path: Path) -> None:
     library = build(tmp_path)
     found = library.ask(library.address("add"), is_fault=True)
-    assert "build it with -g" in found.problems["libadd.so"]
+    assert "build it with -g" in found.problems[0]
 
 
 def test_a_library_that_is_gone_is_named(library: Library) -> None:
     module = library.module
     library.path.unlink()
     found = library.ask(1, module=module, is_fault=True)
-    assert found.problems["libadd.so"] == f"{library.path} is not on this machine"
+    assert found.problems[0] == f"no source line: {library.path} is not on this machine"
 
 
 def test_without_a_build_id_nothing_is_believed(tmp_path: Path) -> None:
     library = build(tmp_path, "-g", "-Wl,--build-id=none")
     assert library.module.build_id == ""
     found = library.ask(library.address("add"), is_fault=True)
-    assert "no build id" in found.problems["libadd.so"]
+    assert "no build id" in found.problems[0]
 
 
 def test_the_missing_tool_is_named(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
     at = library.address("add")
     monkeypatch.setenv("PATH", "/nowhere")
     found = library.ask(at, is_fault=True)
-    assert found.problems["libadd.so"] == "addr2line is not installed; install binutils"
+    assert found.problems[0] == "no source line: addr2line is not installed; install binutils"
 
 
 def test_a_library_is_read_once_for_all_findings(
@@ -197,18 +220,7 @@ def test_a_library_is_read_once_for_all_findings(
     tool.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tool.parent}:{os.environ['PATH']}")
     places = (library.address("add"), library.address("other"))
-    findings = [
-        Finding(
-            kind="crashed",
-            rank=0,
-            says="crashed",
-            who="/a",
-            times_ns=(1,),
-            frames=(Frame("", "f", "libadd.so", at + 1),),
-            modules=(library.module,),
-        )
-        for at in places * 10
-    ]
+    findings = [crash([Frame("", "f", "libadd.so", at + 1)], library.module) for at in places * 10]
     findings.insert(3, Finding(kind="unfinished", rank=7, says="", times_ns=(1,)))
     found = located(findings, (library.folder,))
     assert runs.read_text() == "run\n"
@@ -220,25 +232,15 @@ def test_a_library_is_read_once_for_all_findings(
 def test_a_function_that_the_container_had_no_time_to_look_up_is_named(library: Library) -> None:
     at = library.address("add") + 1
     lines = (f"#0 libadd.so+0x{at:x}", f"#1 known+0x4 (libadd.so+0x{at:x})", "#2 0x10")
-    finding = Finding(
-        kind="crashed",
-        rank=0,
-        says="crashed",
-        who="/a",
-        times_ns=(1,),
-        frames=tuple(map(frame_of, lines)),
-        modules=(library.module,),
-    )
-    (found,) = located([finding], (library.folder,))
+    (found,) = located([crash(map(frame_of, lines), library.module)], (library.folder,))
     assert [frame.text for frame in found.frames] == [f"#0 add (libadd.so+0x{at:x})", *lines[1:]]
     assert [frame.function for frame in found.frames] == ["add", "known", ""]
 
 
 def test_a_library_that_the_recording_does_not_describe_is_named() -> None:
-    frames = [Frame("", "", "libold.so", 5)]
-    (found,) = source_lines([Backtrace(frames, [], is_fault=True)])
+    (found,) = located([crash([Frame("", "", "libold.so", 5)])])
     text = "the recording does not say which build libold.so was"
-    assert found.problems == {"libold.so": text}
+    assert found.problems == (f"no source line: {text}",)
 
 
 def test_a_module_is_read() -> None:

@@ -1,12 +1,11 @@
-"""Units that failed: crashes, exits, failed loads, kills, slow constructors."""
+"""Units that failed: crashes, exits, failed loads, kills, slow constructors, restart loops."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.config.durations import duration
-from play_launch.postmortem.declared import DeclaredPlace
-from play_launch.postmortem.findings import Finding
+from play_launch.postmortem.findings import DeclaredPlace, Finding
 from play_launch.postmortem.frames import blamed
 from play_launch.postmortem.known_causes import known_cause
 from play_launch.postmortem.units import Fault
@@ -43,9 +42,18 @@ _DID: Final = {
     Sequel.CONTAINER_STOP: "its container was stopped",
     Sequel.SHUTDOWN: "everything was stopped",
 }
+_FAILURES: Final = 5
+_WITHIN: Final = 60_000_000_000
+"""Nanoseconds for so many."""
+_ENDS: Final = frozenset({Fault.CRASHED, Fault.DIED, Fault.KILLED})
 
 
 def detect(timeline: Timeline) -> Iterator[Finding]:
+    yield from _failed(timeline)
+    yield from _looping(timeline)
+
+
+def _failed(timeline: Timeline) -> Iterator[Finding]:
     for each in timeline.failures:
         rank, says = _WORDS[each.fault]
         if each.fault is Fault.LOAD_FAILED and each.is_crash:
@@ -103,3 +111,34 @@ def _done(sequels: Mapping[tuple[Sequel, int], str]) -> Iterator[str]:
 
 def _after(delay_ns: int) -> str:
     return f"after {delay_ns / 1e9:.2f} s" if delay_ns else "immediately"
+
+
+def _looping(timeline: Timeline) -> Iterator[Finding]:
+    times: dict[str, list[int]] = {}
+    units = {unit.key: unit for unit in timeline.units}
+    for each in timeline.failures:
+        if each.fault in _ENDS:
+            times.setdefault(each.key, []).extend(each.times)
+    for key, every in times.items():
+        every.sort()
+        loops = (
+            begin
+            for begin, end in zip(every, every[_FAILURES - 1 :], strict=False)
+            if end - begin <= _WITHIN
+        )
+        first = next(loops, None)
+        if first is None:
+            continue
+        unit = units[key]
+        count = sum(first <= at <= first + _WITHIN for at in every)
+        lasted = max(at for at in every if at <= first + _WITHIN) - first
+        yield Finding(
+            kind="restart_loop",
+            rank=2,
+            says="was restarted in a loop, from {at} on",
+            who=unit.name,
+            key=key,
+            times_ns=(first,),
+            cause=f"it failed {count} times within {duration(lasted)}",
+            place=DeclaredPlace(container=unit.container),
+        )

@@ -1,4 +1,4 @@
-"""A node for which the whole system waited at its bring-up, with what that node waited for."""
+"""Units that never came up and failed in no way, and a node for which the whole system waited."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from statistics import median
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.durations import duration
-from play_launch.postmortem.declared import DeclaredPlace
-from play_launch.postmortem.findings import Finding
-from play_launch.supervisor.events import NodeState, SubjectKind
+from play_launch.postmortem.findings import DeclaredPlace, Finding
+from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind, SubjectKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,6 +15,10 @@ if TYPE_CHECKING:
     from play_launch.postmortem.timeline import Timeline
     from play_launch.postmortem.units import Unit
 
+_MISSING: Final = frozenset(
+    {NodeState.PENDING, NodeState.REQUESTED, NodeState.LOADING, NodeState.LOST}
+)
+_GAVE_UP: Final = frozenset({ContainerState.GAVE_UP, ProcessEventKind.GAVE_UP})
 _LEAST_NODES: Final = 3
 _LATER: Final = 5_000_000_000
 """Nanoseconds after all others, at least."""
@@ -25,6 +28,45 @@ _BRIEF: Final = 50_000_000
 
 
 def detect(timeline: Timeline) -> Iterator[Finding]:
+    yield from _missing(timeline)
+    yield from _late(timeline)
+
+
+def _missing(timeline: Timeline) -> Iterator[Finding]:
+    failed = {each.key for each in timeline.failures}
+    for unit in timeline.units:
+        state = unit.state
+        if unit.failure or unit.key in failed or unit.is_withdrawn:
+            continue
+        if state in _GAVE_UP and unit.changes:
+            yield Finding(
+                kind="not_started",
+                rank=0,
+                says="was not started: it was given up {when}",
+                who=unit.name,
+                key=unit.key,
+                times_ns=(unit.changes[-1][0],),
+                cause=unit.reason,
+            )
+        if state not in _MISSING:
+            continue
+        what = "not loaded again" if state is NodeState.LOST else "never loaded"
+        yield Finding(
+            kind="not_loaded",
+            rank=2,
+            says=f"was {what}: it was {state} since {{at}}",
+            who=unit.name,
+            key=unit.key,
+            times_ns=(unit.since_ns,),
+            cause=unit.reason,
+            place=DeclaredPlace(container=unit.container),
+            state=str(state),
+            since_ns=unit.since_ns,
+            last_lines=timeline.last_lines(unit),
+        )
+
+
+def _late(timeline: Timeline) -> Iterator[Finding]:
     started = timeline.session.started_ns
     nodes = [unit for unit in timeline.units if unit.kind is SubjectKind.NODE and unit.is_known]
     arrived = sorted((unit for unit in nodes if unit.arrival), key=lambda unit: unit.ready_ns)
