@@ -212,20 +212,24 @@ def _inner_length(head: bytes, kind: int) -> int:
 
 
 def _zstd(data: memoryview, size: int) -> bytes:
+    from zstandard import frame_content_size  # noqa: PLC0415 - only what a file needs
+
+    if frame_content_size(data) > size:  # what stands there is allocated
+        raise BrokenError("it is larger than its chunk")
     return _decompressor().decompress(data, max_output_size=max(1, size))
 
 
 @functools.cache
 def _decompressor() -> zstandard.ZstdDecompressor:
-    from zstandard import ZstdDecompressor  # noqa: PLC0415 - only what a file needs
+    from zstandard import ZstdDecompressor  # noqa: PLC0415 - as above
 
     return ZstdDecompressor()
 
 
-def _lz4(data: memoryview, _size: int) -> bytes:
-    from lz4 import frame  # type: ignore[import-untyped]  # noqa: PLC0415
+def _lz4(data: memoryview, size: int) -> bytes:
+    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415
 
-    records: bytes = frame.decompress(data)
+    records: bytes = LZ4FrameDecompressor().decompress(data, max_length=max(1, size))
     return records
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import tempfile
+import tracemalloc
 from functools import cache
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -198,6 +199,29 @@ def test_a_wrong_length_takes_no_memory(disk: Disk, kind: Opcode, tmp_path: Path
     list(reader.messages())
     assert disk.largest < 20_000_000
     assert reader.damages
+
+
+@pytest.mark.parametrize("name", ["lz4", "zstd"])
+def test_a_chunk_takes_no_more_memory_than_it_names(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=1 << 30, compression=CompressionType[name.upper()])
+        writer.start()
+        channel = writer.register_channel("/x", "cdr", 0)
+        writer.add_message(channel, 1, bytes(50_000_000), 1)
+        writer.finish()
+    data = path.read_bytes()
+    at = data.index(name.encode()) - 16  # behind it: checksum, length of the name
+    path.write_bytes(data[:at] + (100).to_bytes(8, "little") + data[at + 8 :])
+    reader = BagReader(path)
+    tracemalloc.start()
+    try:
+        assert list(reader.messages()) == []
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert reader.damages
+    assert most < 20_000_000
 
 
 def test_what_follows_the_end_takes_no_memory(disk: Disk, tmp_path: Path) -> None:
