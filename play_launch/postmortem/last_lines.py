@@ -5,13 +5,11 @@ An hour of a large system has millions of lines, of which a few dozen are read.
 
 from __future__ import annotations
 
-import re
 from collections import deque
-from struct import Struct
 from typing import TYPE_CHECKING, Final
 
 from play_launch.container.cdr.layout import CdrError
-from play_launch.container.cdr.messages import LOG
+from play_launch.container.cdr.messages import read_log
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,12 +22,11 @@ _QOS: Final = b"incompatible QoS"
 _MOST_QOS: Final = 1000
 MOST_LOGGERS: Final = 500
 """Of a process, whose lines are kept: names of loggers may have numbers that count up."""
-_NAME: Final = Struct("<I")
-_NAME_AT: Final = 16
-"""Where the length of the first string stands, behind encapsulation, stamp and level."""
-_LOGGER: Final = re.compile(rb"\] \[([^\]\n]{1,255})\]: ")
+_NAME_AT: Final = 20
+"""Where the first string stands, behind encapsulation, stamp, level and its length."""
 _LOGGER_WITHIN: Final = 400
-"""Bytes from the begin of a message in which a line's logger stands, if anywhere."""
+"""Bytes from the name on in which a line's logger stands, if anywhere."""
+_LONGEST_LOGGER: Final = 255
 
 
 class LastLines:
@@ -43,13 +40,14 @@ class LastLines:
     def take(self, message: Message) -> None:
         """Keep a message of the output topic; one that is damaged is left out."""
         data = message.data
-        if len(data) < _NAME_AT + _NAME.size:
+        end = data.find(0, _NAME_AT)
+        if end < 0:
             return
-        (size,) = _NAME.unpack_from(data, _NAME_AT)
-        begin = _NAME_AT + _NAME.size
-        name = data[begin : begin + size - 1]
-        found = _LOGGER.search(data, begin + size, _LOGGER_WITHIN + size)
-        logger = found[1] if found else b""
+        # ``[INFO] [time] [logger]: text``; a regular expression takes twice as long.
+        stop = data.find(b"]: ", end, end + _LOGGER_WITHIN)
+        begin = data.rfind(b"] [", end, stop) + 3 if stop > 0 else 0
+        logger = data[begin:stop] if begin > 3 and stop - begin <= _LONGEST_LOGGER else b""
+        name = data[_NAME_AT:end]
         rings = self._rings.get(name)
         if rings is None:
             rings = self._rings[name] = {}
@@ -67,25 +65,21 @@ class LastLines:
         return ((message.log_time, _text(message.data)) for message in self._qos)
 
     def of(self, container: str, name: str, until_ns: int) -> tuple[str, ...]:
-        """Give the latest lines of a unit; ``container`` is empty for what is no node."""
-        if container:
-            return self.of_node(container, name, until_ns)
-        return self.of_process(name, until_ns)
+        """Give the latest lines of a unit up to a moment; ``container`` is empty but for nodes.
 
-    def of_process(self, name: str, until_ns: int) -> tuple[str, ...]:
-        """Give the latest lines of a process up to that moment."""
-        return _latest(iter(self._rings.get(name.encode(), {}).values()), until_ns)
-
-    def of_node(self, container: str, node: str, until_ns: int) -> tuple[str, ...]:
-        """Give those of a node: by its loggers, and those of its container that name none."""
-        own = node.removeprefix("/").replace("/", ".").encode()
-        rings = self._rings.get(container.encode(), {})
-        chosen = (
-            ring
+        Of a node these are those of its loggers, and those of its container that name none.
+        """
+        rings = self._rings.get((container or name).encode(), {})
+        own = name.removeprefix("/").replace("/", ".").encode()
+        lines = [
+            line
             for logger, ring in rings.items()
-            if not logger or logger == own or logger.startswith(own + b".")
-        )
-        return _latest(chosen, until_ns)
+            if not (container and logger) or logger == own or logger.startswith(own + b".")
+            for line in ring
+            if line.log_time <= until_ns
+        ]
+        lines.sort(key=lambda line: line.log_time)
+        return tuple(filter(None, (_text(line.data) for line in lines[-MOST:])))
 
 
 def _forget_quiet(rings: dict[bytes, deque[Message]]) -> None:
@@ -94,17 +88,8 @@ def _forget_quiet(rings: dict[bytes, deque[Message]]) -> None:
         del rings[logger]
 
 
-def _latest(rings: Iterator[deque[Message]], until_ns: int) -> tuple[str, ...]:
-    lines = sorted(
-        (line for ring in rings for line in ring if line.log_time <= until_ns),
-        key=lambda line: line.log_time,
-    )
-    return tuple(filter(None, (_text(line.data) for line in lines[-MOST:])))
-
-
 def _text(data: bytes) -> str:
     try:
-        text: str = LOG.read(data)["msg"]
+        return read_log(data).message
     except CdrError:
         return ""
-    return text

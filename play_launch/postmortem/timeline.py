@@ -25,7 +25,7 @@ from play_launch.postmortem.units import (
     Failure,
     FailureEvent,
     Fault,
-    GroupUsage,
+    GroupUse,
     Unit,
 )
 from play_launch.postmortem.version1 import Version1
@@ -81,7 +81,9 @@ class Timeline:
         self.events: list[FailureEvent] = []
         self.events_left_out = self.changes_left_out = 0
         self.interruptions: list[RecordingInterrupted] = []
-        self.samples, self.groups = Samples(), GroupUsage()
+        self.samples = Samples()
+        self.groups: dict[str, GroupUse] = {}
+        """By the keys of their units."""
         self.parameters = Parameters()
         self.lines = LastLines()
         self._version1 = Version1()
@@ -104,8 +106,7 @@ class Timeline:
             topic = message.topic
             if topic not in takes:
                 takes[topic] = self._take_of(topic)
-            take = takes[topic]
-            yield message, None if take is None else take(message)
+            yield message, take(message) if (take := takes[topic]) is not None else None
         self.end()
 
     def read(self, take_of: TakeOf) -> None:
@@ -151,7 +152,7 @@ class Timeline:
             self.of_topic(topic)
             return self.samples.of(topic.key)
         if topic.type_name == topics.GROUP_STATS:
-            return self.groups.of(topic.key)
+            return self.groups.setdefault(topic.key, GroupUse()).take
         if topic.name == topics.OUTPUT.name:
             return self._take_line
         if topic.name == topics.SYSTEM.name:

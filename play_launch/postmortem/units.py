@@ -23,8 +23,6 @@ from play_launch.supervisor.events import (
 from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from play_launch.postmortem.bag_reader import Message
     from play_launch.supervisor.events import ComponentEvent, NodeStateChanged, ProcessEvent
 
@@ -285,14 +283,3 @@ class GroupUse(Struct):
         if refused > same[3]:
             self.refused += refused - same[3]
             self.refused_times += [at][: _MOST_TIMES - len(self.refused_times)]
-
-
-class GroupUsage:
-    """What the control groups of a session were kept from, by the keys of their units."""
-
-    def __init__(self) -> None:
-        self.of_units: dict[str, GroupUse] = {}
-
-    def of(self, key: str) -> Callable[[Message], None]:
-        """Give what takes the samples of a unit's control groups."""
-        return self.of_units.setdefault(key, GroupUse()).take

@@ -259,8 +259,8 @@ def test_loggers_whose_names_count_up_take_bounded_memory() -> None:
     (rings,) = lines._rings.values()
     assert len(rings) <= MOST_LOGGERS
     last = f"[INFO] [1.0] [talker]: {count - 1}"
-    assert lines.of_node("/box", "/talker", count)[-1] == last
-    assert len(lines.of_node("/box", f"/worker_{count - 1}", count)) == 1
+    assert lines.of("/box", "/talker", count)[-1] == last
+    assert len(lines.of("/box", f"/worker_{count - 1}", count)) == 1
 
 
 def test_what_grew_before_a_failure(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ def detect(timeline: Timeline) -> Iterator[Finding]:
 
 
 def _limited(timeline: Timeline) -> Iterator[Finding]:
-    for key, group in timeline.groups.of_units.items():
+    for key, group in timeline.groups.items():
         who = name_of(key)
         if group.oom_times:
             yield Finding(
