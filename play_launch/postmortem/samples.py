@@ -153,11 +153,11 @@ class _Sample(NamedTuple):
 class _Series:
     """The samples of one thing, in the order of time."""
 
-    __slots__ = ("_counted", "_data", "_latest", "_peak", "_used", "times")
+    __slots__ = ("_counted", "_latest", "_peak", "_used", "data", "times")
 
     def __init__(self) -> None:
         self.times = array("q")
-        self._data = bytearray()
+        self.data = bytearray()
         self._counted = 0
         """How many of the first samples are in the peak and the CPU time already."""
         self._peak = self._used = 0.0
@@ -169,19 +169,15 @@ class _Series:
 
     def take(self, message: Message) -> None:
         """Keep a sample; of a long session, fewer of each hour."""
-        if len(message.data) >= _FIXED.size:
-            self.add(message.log_time, message.data[: _FIXED.size])
-
-    def add(self, log_time: int, data: bytes) -> None:
-        """Keep a sample of the right length."""
-        self.times.append(log_time)
-        self._data += data
-        if len(self.times) > MOST_SAMPLES:
-            self._thin()
+        if len(message.data) < _FIXED.size:
+            return
+        self.times.append(message.log_time)
+        self.data += message.data[: _FIXED.size]
+        self.thin()
 
     def at(self, index: int) -> _Sample:
         _, _, pid, _, percent, seconds, memory, kind, threads, descriptors, _, _, _, lost = (
-            _FIXED.unpack_from(self._data, index * _FIXED.size)
+            _FIXED.unpack_from(self.data, index * _FIXED.size)
         )
         return _Sample(pid, percent, seconds, memory, kind, threads, descriptors, lost)
 
@@ -205,7 +201,10 @@ class _Series:
             self._peak = max(self._peak, sample.memory)
         self._counted = len(self)
 
-    def _thin(self) -> None:
+    def thin(self) -> None:
+        """Keep fewer samples, if there are too many."""
+        if len(self.times) <= MOST_SAMPLES:
+            return
         self._count()
         recent, gap = len(self) - _RECENT, (self.times[-1] - self.times[0]) // _RECENT
         kept, next_at = [], self.times[0]
@@ -216,9 +215,7 @@ class _Series:
         kept += range(recent, len(self))
         size = _FIXED.size
         self.times = array("q", [self.times[index] for index in kept])
-        self._data = bytearray().join(
-            self._data[index * size : (index + 1) * size] for index in kept
-        )
+        self.data = bytearray().join(self.data[index * size : (index + 1) * size] for index in kept)
         self._counted = len(self)
 
     def life(self, pid: int, until_ns: int) -> tuple[int, int] | None:
@@ -260,10 +257,16 @@ class Samples(Runs):
         """Take samples of processes as they stand in the file."""
         if stride < _RECORD.size:
             return
-        series = {topic.key: self._series.setdefault(topic.key, _Series()) for topic in topics}
         each = Fixed(f"{_RECORD.format}{stride - _RECORD.size}x").iter_unpack(records)
         for topic, (log_time, data) in zip(topics, each, strict=True):
-            series[topic.key].add(min(log_time, LATEST), data)
+            one = self._series[topic.key]
+            try:
+                one.times.append(log_time)
+            except OverflowError:
+                one.times.append(LATEST)
+            one.data += data
+        for topic in topics:
+            self._series[topic.key].thin()
 
     def take_system(self, message: Message) -> None:
         """Take one of the machine."""
