@@ -51,6 +51,8 @@ _CONTROL_DELAY: Final = 0.2
 """Seconds from the start of the first processes until commands are answered."""
 _TOPICS_DELAY: Final = 0.1
 """Seconds from the start until topics and the graph are prepared."""
+_LATEST_TOPICS: Final = 3.0
+"""Seconds after which topics are recorded even though nodes are still being loaded."""
 _LONGEST_START: Final = 30.0
 """Seconds after which it runs along even though nodes are still being loaded."""
 _PRIORITY_INTERVAL: Final = 1.0
@@ -124,9 +126,26 @@ class Background(Struct):
         if not self.config.record.ros:
             return
         await asyncio.sleep(_TOPICS_DELAY)
-        await record_topics(
-            self.config, self.session, self.publisher, self.stop, snapshots=self.snapshots
-        )
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_LATEST_TOPICS):
+                # A check now and then takes less of the start than one at each event.
+                while not is_up(self.publisher.view):  # noqa: ASYNC110
+                    await asyncio.sleep(_TOPICS_DELAY)
+        from play_launch.recording.topic_recorder.supervision import TopicRecording  # noqa: PLC0415
+
+        recording = TopicRecording(self.config, self.session.recorder)
+        if self.config.record.before_crash is None:
+            await recording.run()
+            return
+        watch = FailureWatch(recording, self.stop)
+        self.publisher.add_sink(watch)
+        with self.snapshots.taken_by(partial(recording.take, "snapshot")):
+            async with asyncio.TaskGroup() as tasks:
+                watching = tasks.create_task(watch.run())
+                try:
+                    await recording.run()
+                finally:
+                    watching.cancel()
 
     async def _serve_control(self) -> None:
         operated = await self.system
@@ -230,48 +249,6 @@ def _log_lines(lines: Sequence[Line]) -> None:
             _log.warning("stdout of a library: %s%s", text, cut)
     if sum(len(line.text) for line in lines) > _FULL_PIPE:
         _log.warning("stdout of libraries: too many; lines may be missing here")
-
-
-# Topics of ROS.
-
-LATEST_START: Final = 3.0
-"""Seconds after which it begins even though nodes are still being loaded."""
-_LOOK: Final = 0.1
-_log = logging.getLogger(__name__)
-
-
-async def record_topics(
-    config: ReplayConfig,
-    session: Session,
-    publisher: Publisher,
-    stop: StopRequests,
-    *,
-    snapshots: Snapshots,
-) -> None:
-    """Record topics from when the system is up until this is cancelled; the run goes on anyway."""
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(LATEST_START):
-            # A look now and then takes less of the start than one at each event.
-            while not is_up(publisher.view):  # noqa: ASYNC110
-                await asyncio.sleep(_LOOK)
-    from play_launch.recording.topic_recorder.supervision import TopicRecording  # noqa: PLC0415
-
-    recording = TopicRecording(config, session.recorder)
-    try:
-        if config.record.before_crash is None:
-            await recording.run()
-            return
-        watch = FailureWatch(recording, stop)
-        publisher.add_sink(watch)
-        with snapshots.taken_by(partial(recording.take, "snapshot")):
-            async with asyncio.TaskGroup() as tasks:
-                watching = tasks.create_task(watch.run())
-                try:
-                    await recording.run()
-                finally:
-                    watching.cancel()
-    except Exception:  # noqa: BLE001 - the run must go on whatever fails here
-        _log.exception("topics of ROS are not recorded")
 
 
 class FailureWatch:

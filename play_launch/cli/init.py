@@ -14,40 +14,7 @@ from play_launch.cli.output import fail, is_standard_output, say
 
 SCHEMA_FILE = Path(__file__).resolve().parents[1] / "config" / "config.schema.json"
 """The schema as it is installed."""
-_STARTER: Final = """\
-# yaml-language-server: $schema=SCHEMA
-#
-#     play-launch check FILE        find mistakes, start nothing
-#     play-launch replay FILE       bring it up; Ctrl-C stops it
-version: 1
-environment:
-  # All traffic stays on this machine; leave it out for a robot of several.
-  ROS_AUTOMATIC_DISCOVERY_RANGE: LOCALHOST
-
-containers:
-  # Composable nodes are loaded into a container. In this one each is a process of its own: a crash
-  # ends one node, and messages go by pointer all the same.
-  - name: chat
-    container_type: isolated
-    composable_nodes:
-      - package: play_launch_demo
-        plugin: play_launch_demo::Talker
-        name: talker
-        parameters:
-          # play-launch replay FILE rate:=2.0
-          rate: ${arg:rate:-10.0}
-      - package: play_launch_demo
-        plugin: play_launch_demo::Listener
-        name: listener
-        # remappings: {chatter: /somewhere/else}
-
-# nodes:
-#   # Ordinary processes: a program of a package, or any command.
-#   - package: demo_nodes_py
-#     executable: listener
-#     name: far_listener
-#     on_exit: restart
-"""
+_STARTER: Final = Path(__file__).with_name("starter.yaml")
 
 
 def init(
@@ -58,7 +25,7 @@ def init(
     """Write a commented configuration to begin with; an existing file is kept."""
     is_stdout = is_standard_output(file)
     values = {"SCHEMA": str(SCHEMA_FILE), "FILE": "robot.yaml" if is_stdout else file.name}
-    text = re.sub("SCHEMA|FILE", lambda found: values[found[0]], _STARTER)
+    text = re.sub("SCHEMA|FILE", lambda found: values[found[0]], _STARTER.read_text("utf-8"))
     if is_stdout:
         say(text.rstrip("\n"))
         return

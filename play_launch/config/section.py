@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from pydantic_core import SchemaValidator, ValidationError, core_schema
 
-from play_launch.config.problems import excerpt
-from play_launch.config.tree import Mapping, Scalar, ScalarKind, Sequence, describe_node
+from play_launch.config.problems import Report, excerpt
+from play_launch.config.tree import Cursor, Mapping, Scalar, ScalarKind, Sequence, describe_node
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
     from pydantic_core import CoreSchema, ErrorDetails
 
-    from play_launch.config.problems import Report
-    from play_launch.config.tree import Cursor, Entry, Node
+    from play_launch.config.tree import Node
 
 JsonSchema = dict[str, Any]
 Value = TypeVar("Value")
@@ -99,8 +98,7 @@ def listed(
 
 def nested(section: type[SomeSection], description: str, *examples: object) -> SomeSection | None:
     """Declare an optional key whose value is a mapping with a section of its own."""
-    schema = core_schema.nullable_schema(section.schema())
-    key: Any = Key(schema, description, examples, section=section)
+    key: Any = Key(core_schema.any_schema(), description, examples, section=section)
     return key  # type: ignore[no-any-return]
 
 
@@ -122,8 +120,7 @@ class ConfigSection:
     @classmethod
     def of(cls, values: dict[str, Any]) -> Self:
         """Check the values of a mapping; raise pydantic's ValidationError with all mistakes."""
-        section: Self = cls._validator().validate_python(values)
-        return section
+        return cls(cls._validator().validate_python(values))
 
     @property
     def given(self) -> dict[str, Any]:
@@ -131,19 +128,15 @@ class ConfigSection:
         return {name: value for name, value in vars(self).items() if value is not None}
 
     @classmethod
-    def schema(cls) -> CoreSchema:
+    @cache
+    def _validator(cls) -> SchemaValidator:
+        # Made when it is first used: no configuration has all of them.
         fields = {
             name: core_schema.typed_dict_field(key.schema, required=key.required)
             for name, key in cls.keys.items()
         }
         mapping = core_schema.typed_dict_schema(fields, strict=True, extra_behavior="forbid")
-        return core_schema.no_info_after_validator_function(cls, mapping)
-
-    @classmethod
-    @cache
-    def _validator(cls) -> SchemaValidator:
-        # Made when it is first used: no configuration has all of them.
-        return SchemaValidator(cls.schema())
+        return SchemaValidator(mapping)
 
 
 def validate_mapping(section: type[SomeSection], at: Cursor) -> SomeSection | None:
@@ -159,6 +152,10 @@ def validate_mapping(section: type[SomeSection], at: Cursor) -> SomeSection | No
             continue
         if key is not None and key.raw:
             values[entry.key] = entry.value
+            continue
+        if key is not None and key.section is not None:
+            values[entry.key] = nested_section = validate_mapping(key.section, value)
+            refused |= nested_section is None
             continue
         values[entry.key] = _plain(entry.value, None if key is None else key.schema)
         if key is not None:
@@ -180,16 +177,12 @@ def well_formed(section: type[SomeSection], at: Cursor | None) -> SomeSection | 
     """
     if at is None or not isinstance(at.node, Mapping):
         return None
-    values = {
-        entry.key: _plain(entry.value, section.keys[entry.key].schema)
-        for entry, _ in at.entries()
-        if entry.key in section.keys
-    }
-    try:
-        return section.of(values)
-    except ValidationError as error:
-        wrong = {each["loc"][0] for each in error.errors(include_url=False, include_input=False)}
-        return section.of({key: value for key, value in values.items() if key not in wrong})
+    values: dict[str, Any] = {}
+    for entry in at.node.entries:
+        alone = Cursor(Mapping(at.node.location, {entry.key: entry}), at.path, Report())
+        if (found := validate_mapping(section, alone)) is not None:
+            values |= vars(found)
+    return section(values)
 
 
 def items_of(at: Cursor | None, what: str) -> Iterator[Cursor]:
@@ -214,11 +207,7 @@ def _plain(node: Node, schema: Any) -> object:
     if isinstance(node, Sequence):
         items = schema["items_schema"] if kind == "list" else None
         return [_plain(item, items) for item in node.items]
-    fields = schema["fields"] if kind == "typed-dict" else {}
-    return {
-        entry.key: _plain(entry.value, fields[entry.key]["schema"] if entry.key in fields else None)
-        for entry in node.entries
-    }
+    return {entry.key: _plain(entry.value, None) for entry in node.entries}
 
 
 def _refuse_tags(at: Cursor) -> bool:
@@ -234,27 +223,21 @@ def _refuse_tags(at: Cursor) -> bool:
 
 
 def _report_error(details: ErrorDetails, section: type[ConfigSection], at: Cursor) -> None:
-    entry: Entry | None = None
-    owner = section
-    steps = list(details["loc"])
-    missing = details["type"] == "missing"
-    last = steps.pop() if missing else None
-    for index, step in enumerate(steps):
-        if isinstance(at.node, Mapping):
-            entry = at.node.by_key.get(str(step))
-            if entry is None:
-                break
-            if index < len(steps) - 1:
-                key = owner.keys.get(entry.key)
-                owner = owner if key is None or key.section is None else key.section
-            at = at.below(entry.key, entry.value)
+    key, *steps = details["loc"]
+    if details["type"] == "missing":
+        at.problem(f"the key {excerpt(str(key))} is missing")
+        return
+    entry = at.node.by_key[str(key)] if isinstance(at.node, Mapping) else None
+    if details["type"] == "extra_forbidden" and entry is not None:
+        problem = _unknown_key(entry.key, list(section.keys), at.report)
+        at.below(entry.key).problem(problem, entry.location)
+        return
+    for step in (key, *steps):
+        if isinstance(at.node, Mapping) and str(step) in at.node.by_key:
+            at = at.below(str(step), at.node.by_key[str(step)].value)
         elif isinstance(at.node, Sequence) and isinstance(step, int):
             at = at.element(step)
-    if missing:
-        at.problem(f"the key {excerpt(str(last))} is missing")
-    elif details["type"] == "extra_forbidden" and entry is not None:
-        at.problem(_unknown_key(entry.key, list(owner.keys), at.report), entry.location)
-    elif not at.is_invalid:
+    if not at.is_invalid:
         at.problem(_message(details, at.node))
 
 

@@ -77,14 +77,14 @@ def words_of(event: RunEvent) -> EventText:
             level = WARN if event.state is NodeState.UNLOADED and event.reason else INFO
             return EventText(_level(event.state, level), event.container, _node(event))
         case ContainerStateChanged():
-            text = _because(event.state.value, event.reason)
+            text = because(event.state.value, event.reason)
             return EventText(_level(event.state), event.container, text)
         case ProcessEvent():
             level = WARN if event.exit_code or event.signal else INFO
             return EventText(_level(event.kind, level), event.name, _process(event))
         case ComponentEvent():
             is_bad = event.kind in {ComponentEventKind.LOAD_FAILED, ComponentEventKind.CRASHED}
-            text = _because(event.kind.name.lower().replace("_", " "), event.error_message)
+            text = because(event.kind.name.lower().replace("_", " "), event.error_message)
             lines = [text, *(f"  {frame}" for frame in event.backtrace)]
             source = event.full_node_name or event.plugin_name
             return EventText(ERROR if is_bad else INFO, source, "\n".join(lines))
@@ -106,7 +106,7 @@ def words_of(event: RunEvent) -> EventText:
             changes += [f"- {name}" for name in event.vanished]
             return EventText(INFO, "graph", ", ".join(changes))
         case Withdrawn():
-            return EventText(INFO, event.key, _because("taken out of the system", event.reason))
+            return EventText(INFO, event.key, because("taken out of the system", event.reason))
         case _:
             values = event_object(event)
             kind = values.pop("event")
@@ -131,7 +131,7 @@ def _node(event: NodeStateChanged) -> str:
             state = f"is still loading{seconds}"
         case _:
             state = _NODE.get(event.state, event.state.value)
-    return _because(f"{event.node} {state}", event.reason)
+    return because(f"{event.node} {state}", event.reason)
 
 
 def _process(event: ProcessEvent) -> str:
@@ -148,7 +148,7 @@ def _process(event: ProcessEvent) -> str:
         case ProcessEventKind.WAITING:
             return event.message
         case _:
-            return _because(event.kind.name.lower(), event.message)
+            return because(event.kind.name.lower(), event.message)
 
 
 def _operation(event: ActionEvent) -> str:
@@ -167,7 +167,7 @@ def _operation(event: ActionEvent) -> str:
             return f"{what}: done"
 
 
-def _because(what: str, reason: str) -> str:
+def because(what: str, reason: str) -> str:
     return f"{what}: {reason}" if reason else what
 
 

@@ -103,28 +103,10 @@ async def serve_control(
         async with serving(control, hello, operations):
             operable.set_result(None)
             if watched is not None:
-                await _watch(watched, config, changes)
+                await changes.watch(watched)
             await asyncio.Event().wait()
     except Exception:  # noqa: BLE001 - it is logged, and the run goes on
         _log.exception("the session can no longer be controlled")
-
-
-async def _watch(watched: Watched, config: ReplayConfig, changes: Changes) -> None:
-    from play_launch.control.config_watch import watch  # noqa: PLC0415 - only for this
-
-    try:
-        await watch(watched, config, partial(_apply, changes))
-    except Exception:  # noqa: BLE001 - as above
-        _log.exception("%s is no longer watched", watched.path)
-
-
-async def _apply(changes: Changes, target: ReplayConfig) -> None:
-    try:
-        await changes.apply_own(target, Caller(os.getpid(), os.getuid(), own_command()))
-    except OperationError as error:
-        _log.warning(
-            "%s is not applied: %s; it is applied at its next change", target.source, error
-        )
 
 
 class Changes:
@@ -180,17 +162,28 @@ class Changes:
             await caller.send("plan" if isinstance(each, Plan) else "step", each)
         return {"applied": task.result()}
 
-    async def apply_own(self, target: ReplayConfig, caller: Caller) -> None:
-        """Apply a configuration that this process has read; the result is published.
+    async def watch(self, watched: Watched) -> None:
+        """Apply the configuration of the command line whenever it changes."""
+        from play_launch.control.config_watch import watch  # noqa: PLC0415 - only for this
 
-        Raises:
-            OperationError: When it cannot begin.
-        """
-        target = self._with_command_line(target)
-        while self._task is not None and self._is_busy:
-            await asyncio.wait({self._task})
-        if self._applying.plan(target).to_do:
-            await asyncio.wait({self._begin(target, caller)})
+        caller = Caller(os.getpid(), os.getuid(), own_command())
+
+        async def apply(target: ReplayConfig) -> None:
+            target = self._with_command_line(target)
+            while self._task is not None and self._is_busy:
+                await asyncio.wait({self._task})
+            if not self._applying.plan(target).to_do:
+                return
+            try:
+                await asyncio.wait({self._begin(target, caller)})
+            except OperationError as error:
+                text = "%s is not applied: %s; it is applied at its next change"
+                _log.warning(text, target.source, error)
+
+        try:
+            await watch(watched, self._started_with, apply)
+        except Exception:  # noqa: BLE001 - the run goes on
+            _log.exception("%s is no longer watched", watched.path)
 
     def _with_command_line(self, target: ReplayConfig) -> ReplayConfig:
         """Put into ``target`` what the command line of the session said."""

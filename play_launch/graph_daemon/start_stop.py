@@ -23,7 +23,6 @@ from play_launch.process.machine import (
 from play_launch.ros.fastdds.middleware import PROFILE_FILES
 
 if TYPE_CHECKING:
-    import socket
     from collections.abc import Callable, Mapping
 
     from play_launch.graph_daemon.contract import DaemonAddress
@@ -78,49 +77,11 @@ def start_daemon(
     if port.listener is None:
         return StartedDaemon(started=False, pid=port.pid, messages=port.messages)
     with port.listener as listener:
-        process = spawn(
-            address,
-            listener,
-            idle_timeout=idle_timeout,
-            wait_for=wait_for,
-            environment=environment,
-        )
-    return StartedDaemon(started=True, pid=process.pid, messages=port.messages, process=process)
-
-
-def log_path(address: DaemonAddress, environment: Mapping[str, str] = os.environ) -> Path:
-    """Return the log file of a daemon in the background; the last run's is overwritten."""
-    folder = environment.get("ROS_LOG_DIR") or Path.home() / ".ros" / "log"
-    return Path(folder) / f"play_launch_daemon_{address.domain}.log"
-
-
-def spawn(
-    address: DaemonAddress,
-    listener: socket.socket,
-    *,
-    idle_timeout: float,
-    wait_for: str,
-    limit: float = START_LIMIT,
-    environment: Mapping[str, str] = os.environ,
-) -> subprocess.Popen[bytes]:
-    """Start a daemon on ``listener`` and return its process, for which the caller must wait.
-
-    Args:
-        address: The daemon's address.
-        listener: Listening socket, which the daemon inherits.
-        idle_timeout: As of `start_daemon`.
-        wait_for: As of `start_daemon`.
-        limit: Seconds until that state must be reached.
-        environment: As of `start_daemon`.
-
-    Raises ``DaemonStartError`` after ending a daemon that does not reach the state.
-    """
-    if full := full_shared_memory(shared_memory_room()):
-        raise DaemonStartError(f"{full}; fix: {SHARED_MEMORY_FIX}")
-    read, write = os.pipe()
-    log = _log_file(log_path(address, environment))
-    try:
-        with open(os.devnull, "rb") as nothing:  # noqa: PTH123
+        if full := full_shared_memory(shared_memory_room()):
+            raise DaemonStartError(f"{full}; fix: {SHARED_MEMORY_FIX}")
+        read, write = os.pipe()
+        log = _log_file(log_path(address, environment))
+        try:
             process = subprocess.Popen(
                 [
                     sys.executable,
@@ -133,7 +94,7 @@ def spawn(
                     f"--ready={write}",
                     f"--idle-timeout={idle_timeout:g}",
                 ],
-                stdin=nothing,
+                stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
                 pass_fds=(listener.fileno(), write),
@@ -141,29 +102,35 @@ def spawn(
                 cwd=_working_directory(),
                 start_new_session=True,
             )
-    except OSError as error:
-        os.close(read)
-        log.close()
-        raise DaemonStartError(f"the daemon could not be started: {error}") from None
-    finally:
-        os.close(write)
-    with log:
-        try:
-            reported = _wait(read, wait_for, limit)
-        finally:
+        except OSError as error:
             os.close(read)
-        if not reported:
-            # It may be writing the reason.
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(_EXIT_TIMEOUT)
-            process.kill()
-            process.wait()
-            raise DaemonStartError(f"the daemon ended or hung while it started{_end_of(log)}")
-    return process
+            log.close()
+            raise DaemonStartError(f"the daemon could not be started: {error}") from None
+        finally:
+            os.close(write)
+        with log:
+            try:
+                reported = _wait(read, wait_for)
+            finally:
+                os.close(read)
+            if not reported:
+                # It may be writing the reason.
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(_EXIT_TIMEOUT)
+                process.kill()
+                process.wait()
+                raise DaemonStartError(f"the daemon ended or hung while it started{_end_of(log)}")
+    return StartedDaemon(started=True, pid=process.pid, messages=port.messages, process=process)
 
 
-def _wait(read: int, word: str, limit: float) -> bool:
-    deadline = time.monotonic() + limit
+def log_path(address: DaemonAddress, environment: Mapping[str, str] = os.environ) -> Path:
+    """Return the log file of a daemon in the background; the last run's is overwritten."""
+    folder = environment.get("ROS_LOG_DIR") or Path.home() / ".ros" / "log"
+    return Path(folder) / f"play_launch_daemon_{address.domain}.log"
+
+
+def _wait(read: int, word: str) -> bool:
+    deadline = time.monotonic() + START_LIMIT
     received = b""
     while True:
         left = deadline - time.monotonic()

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from play_launch import ExitCode
 from play_launch.cli.app import COMMANDS, app, command_of
 from play_launch.container import ros
-from tests.support.replay import COMMAND
+from tests.support.replay import finished, run
 
 runner = CliRunner()
 
@@ -96,9 +96,7 @@ def test_only_the_module_of_the_command_is_imported(name: str) -> None:
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
         "print(*sys.modules, file=sys.stderr)\n"
     )
-    shown = subprocess.run(
-        [sys.executable, "-c", program], check=True, capture_output=True, text=True
-    )
+    shown = finished([sys.executable, "-c", program], code=0)
     imported = set(shown.stderr.split())
     modules = {f"play_launch.cli.{each.module}" for each in COMMANDS.values()}
     own = {f"play_launch.cli.{COMMANDS[name].module}", *USED_BY.get(name, ())}
@@ -115,9 +113,7 @@ def test_help_does_not_import_what_is_slow() -> None:
         "slow = {'pydantic', 'rclpy', 'mcap', 'psutil', 'yaml', 'asyncio'} & set(sys.modules)\n"
         "print(sorted(slow), file=sys.stderr)\n"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", program], check=True, capture_output=True, text=True
-    )
+    result = finished([sys.executable, "-c", program], code=0)
     assert result.stderr.strip() == "[]"
 
 
@@ -225,20 +221,12 @@ def test_a_reader_that_has_gone_is_no_error(good: Path, arguments: list[str]) ->
 def test_thousands_of_mistakes_do_not_flood_the_screen(verb: str, tmp_path: Path) -> None:
     config = tmp_path / "c.yaml"
     config.write_text("version: 1\nnodes:\n" + "  - {comand: [x]}\n" * 3_000, encoding="utf-8")
-    done = subprocess.run(
-        [COMMAND, verb, config], check=False, capture_output=True, text=True, timeout=60
-    )
+    done = run(verb, config)
     assert done.returncode == 2
     assert len(done.stderr) < 20_000
     count = re.search(r"and ([\d,]+) more; play-launch check --json lists them all", done.stderr)
     assert count is not None
-    every = subprocess.run(
-        [COMMAND, "check", "--json", config],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    every = run("check", "--json", config)
     problems = json.loads(every.stdout)["problems"]
     assert len(problems) == 50 + int(count[1].replace(",", ""))
 
@@ -255,14 +243,7 @@ def test_without_a_folder_for_ros_s_log_nothing_is_started(
         environ["HOME"] = home
 
     def replay(**more: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [COMMAND, "replay", config, "--log-dir", tmp_path / "logs"],
-            check=False,
-            capture_output=True,
-            text=True,
-            env={**environ, **more},
-            timeout=60,
-        )
+        return run("replay", config, "--log-dir", tmp_path / "logs", env={**environ, **more})
 
     done = replay()
     assert done.returncode == 2
@@ -274,13 +255,8 @@ def test_without_a_folder_for_ros_s_log_nothing_is_started(
 def test_a_time_zone_that_no_clock_can_have_is_reported(tmp_path: Path) -> None:
     config = tmp_path / "c.yaml"
     config.write_text("version: 1\nnodes: [{command: ['true']}]\n", encoding="utf-8")
-    done = subprocess.run(
-        [COMMAND, "replay", config, "--log-dir", tmp_path / "logs"],
-        check=False,
-        capture_output=True,
-        text=True,
-        env={**os.environ, "TZ": "XYZ+99999"},
-        timeout=60,
+    done = run(
+        "replay", config, "--log-dir", tmp_path / "logs", env={**os.environ, "TZ": "XYZ+99999"}
     )
     assert done.returncode == 2
     assert done.stderr.startswith("error: TZ=XYZ+99999")

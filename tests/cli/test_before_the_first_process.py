@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.support.replay import replaying
+from tests.support.replay import finished, replaying
 
 CONFIG = """
 version: 1
@@ -73,11 +72,9 @@ def belongs_to(module: str, package: str) -> bool:
 
 
 def imported_before_the_first_process(config: Path, tmp_path: Path) -> set[str]:
-    result = subprocess.run(
+    result = finished(
         [sys.executable, "-c", PROGRAM, "replay", str(config), "--log-dir", str(tmp_path), "-q"],
-        check=True,
-        capture_output=True,
-        text=True,
+        code=0,
     )
     return set(json.loads(result.stderr))
 

@@ -9,7 +9,6 @@ import re
 import select
 import shutil
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -19,7 +18,7 @@ import pytest
 
 from play_launch.control.registration import LINKS
 from play_launch.control.sessions import connect_to
-from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.replay import COMMAND, Replay, finished, replaying, run
 from tests.support.waiting import LIMIT, until
 
 SYSTEM = """
@@ -120,14 +119,7 @@ def answers(folder: Path) -> bool:
 def offered(line: str) -> list[str]:
     words = ["play-launch", *line.split(" ")]
     asked = {"COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1)}
-    shown = subprocess.run(
-        [COMMAND],
-        check=True,
-        capture_output=True,
-        text=True,
-        timeout=LIMIT,
-        env={**os.environ, **asked, "_PLAY_LAUNCH_COMPLETE": "complete_bash"},
-    )
+    shown = run(code=0, env={**os.environ, **asked, "_PLAY_LAUNCH_COMPLETE": "complete_bash"})
     assert shown.stderr == ""
     return shown.stdout.split()
 
@@ -178,11 +170,9 @@ def test_tab_imports_no_ros_and_only_the_command_on_the_line() -> None:
     for line in ("", "st", "stop ", "replay --d"):
         words = ["play-launch", *line.split(" ")]
         asked = {"COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1)}
-        shown = subprocess.run(
+        shown = finished(
             [sys.executable, "-c", program],
-            check=True,
-            capture_output=True,
-            text=True,
+            code=0,
             env={**os.environ, **asked, "_PLAY_LAUNCH_COMPLETE": "complete_bash"},
         )
         assert shown.stdout.splitlines()[-1] == "[]"

@@ -18,7 +18,7 @@ from play_launch.supervisor.events import NodeState
 from tests.postmortem.scenes import Scene
 from tests.support.launch import SLEEPER, use_launch
 from tests.support.mounts import mounted
-from tests.support.replay import COMMAND
+from tests.support.replay import COMMAND, finished, run
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -90,16 +90,6 @@ def good(tmp_path: Path) -> Path:
     return made.record(tmp_path / "good.mcap")
 
 
-def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [str(COMMAND), *map(str, arguments)],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-
-
 @pytest.mark.parametrize("verb", READERS, ids=" ".join)
 @pytest.mark.parametrize(
     "make",
@@ -153,13 +143,7 @@ def test_a_folder_that_cannot_be_read_is_named_among_others(tmp_path: Path, good
     closed.chmod(0)
     rights = "-dac_override,-dac_read_search"  # root's
     drop = ["setpriv", "--inh-caps", rights, "--bounding-set", rights] if os.geteuid() == 0 else []
-    result = subprocess.run(
-        [*drop, COMMAND, "crashes", closed.parent],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    result = finished([*drop, COMMAND, "crashes", closed.parent])
     closed.chmod(0o700)
     assert result.returncode == 5
     assert result.stderr == f"warning: {closed}: Permission denied\n"
@@ -214,13 +198,9 @@ def test_a_working_directory_that_was_removed_is_named(
     (tmp_path / "a.launch.py").write_text(SLEEPER, encoding="utf-8")
     (tmp_path / "robot.yaml").write_text("{version: 1, nodes: [{name: a, command: [a]}]}")
     remove = 'rmdir ../gone && exec "$@"'
-    done = subprocess.run(
+    done = finished(
         ["sh", "-c", remove, "sh", str(COMMAND), verb[0], str(tmp_path / verb[1])],
-        check=False,
-        capture_output=True,
-        text=True,
         cwd=tmp_path / "gone",
-        timeout=60,
     )
     assert done.returncode == 2
     assert done.stderr == "error: the working directory was removed; change to another one\n"
@@ -334,13 +314,7 @@ def test_nothing_is_left_of_an_output_for_which_there_is_no_room(
     mount = f"mount -t tmpfs -o size=4k tmpfs {folder} && head -c 4096 /dev/zero > {folder}/x"
     listing = f'"$@" -o {folder}/out; code=$?; find {folder} -type f; exit $code'
     command = [COMMAND, *arguments, good]
-    result = subprocess.run(
-        mounted(mount, "sh", "-c", listing, "sh", *command),
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    result = finished(mounted(mount, "sh", "-c", listing, "sh", *command))
     assert result.returncode == 1
     assert "No space left on device" in result.stderr
     assert result.stderr.count("\n") == 1
@@ -354,13 +328,7 @@ def test_a_folder_is_recovered_as_far_as_its_files_permit(tmp_path: Path, good: 
     active.write_bytes(good.read_bytes()[:-100])
     # What is a mount point cannot be removed.
     mount = f"mount --bind {active} {active}"
-    result = subprocess.run(
-        mounted(mount, COMMAND, "recover", folder),
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    result = finished(mounted(mount, COMMAND, "recover", folder))
     assert result.returncode == 1
     assert result.stderr == f"error: {active}: Device or resource busy\n"
     assert run("recover", folder).returncode == 0
@@ -406,13 +374,7 @@ def test_an_answer_that_nobody_takes(
     tmp_path: Path, good: Path, verb: str, redirection: str, code: int
 ) -> None:
     arguments = [verb, "foxglove", str(good)] if verb == "layout" else [verb, str(good)]
-    result = subprocess.run(
-        ["sh", "-c", f'exec "$@" {redirection}', "sh", COMMAND, *arguments],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    result = finished(["sh", "-c", f'exec "$@" {redirection}', "sh", COMMAND, *arguments])
     assert result.returncode == code
     expected = "error: cannot write the output: No space left on device\n" if code else ""
     assert result.stderr == expected
@@ -427,13 +389,7 @@ def test_whoever_has_seen_enough_is_not_kept_waiting(tmp_path: Path) -> None:
     # Its end is damaged: who reads it to the end complains.
     path.write_bytes(path.read_bytes()[:-100])
     for option in ("--level=info", "--json"):
-        result = subprocess.run(
-            [*HEAD, str(COMMAND), "inspect", option, str(path)],
-            check=False,
-            capture_output=True,
-            text=True,
-            timeout=60,
-        )
+        result = finished([*HEAD, str(COMMAND), "inspect", option, str(path)])
         assert (result.returncode, result.stderr) == (0, "")
         assert result.stdout.count("\n") == 1
 

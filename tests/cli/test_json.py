@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from play_launch.cli.app import COMMANDS, CONTROL, command_of
-from tests.support.replay import COMMAND, replaying
+from tests.support.replay import COMMAND, finished, replaying
 from tests.support.scenes import TALKER_AND_SLEEPER
 from tests.support.waiting import until
 
@@ -77,9 +77,7 @@ def test_all_verbs_for_a_running_session_print_json(
 
         def ask(verb: str, arguments: list[str]) -> subprocess.CompletedProcess[str]:
             command = [str(COMMAND), *verb.split(), *arguments, "--json", "--session", session]
-            return subprocess.run(
-                command, check=False, capture_output=True, text=True, timeout=90, cwd=tmp_path
-            )
+            return finished(command, cwd=tmp_path)
 
         replay.read_until_states({"/talker": "loaded"})
         until(lambda: ask("wait", ["--for", "ready"]).returncode == 0, "the system")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 import time
 from typing import TYPE_CHECKING
 
@@ -29,7 +28,7 @@ from play_launch.supervisor.events import (
 from tests.postmortem.archive.scenes import begin_session, past_session
 from tests.postmortem.scenes import Scene
 from tests.postmortem.test_session import record
-from tests.support.replay import COMMAND, replaying
+from tests.support.replay import replaying, run
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -69,16 +68,6 @@ EVENTS: list[RunEvent] = [
 ]
 
 CRASH = ["backtrace:", "  #0 boom() (libp.so+0x1)", "/talker crashed: SIGSEGV"]
-
-
-def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [str(COMMAND), *map(str, arguments)],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
 from collections import Counter
 from pathlib import Path
 
@@ -14,20 +13,9 @@ import pytest
 from play_launch.supervisor.events import NodeState, ProcessEventKind
 from play_launch.supervisor.outcome import Cause, Sequel
 from tests.postmortem.scenes import Scene
-from tests.support.replay import COMMAND
+from tests.support.replay import run
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "postmortem.md"
-
-
-def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [str(COMMAND), *map(str, arguments)],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        cwd=cwd,
-    )
 
 
 def scene(*, crashes: int = 0, loaded_at: float = 1.0, memory: int = 10**8) -> Scene:

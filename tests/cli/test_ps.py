@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from typing import TYPE_CHECKING, Any
 
 from play_launch.cli.ps import lines
 from play_launch.control.registration import LINKS
+from tests.support.replay import finished
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -60,13 +60,7 @@ def test_details_end_where_the_terminal_ends() -> None:
 def test_ps_imports_next_to_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(LINKS, str(tmp_path / "links"))
     program = [sys.executable, "-X", "importtime", "-c"]
-    done = subprocess.run(
-        [*program, "from play_launch.cli.entry import main; main()", "ps", "--json"],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    done = finished([*program, "from play_launch.cli.entry import main; main()", "ps", "--json"])
     assert "no session of yours is running" in done.stderr
     lines = [line for line in done.stderr.splitlines() if line.startswith("import time:")]
     imported = {line.rpartition("|")[2].strip() for line in lines}

@@ -13,7 +13,7 @@ import psutil
 
 from play_launch.container.ros import RosSource, ros_installation
 from tests.recording.reading import messages
-from tests.support.replay import COMMAND
+from tests.support.replay import run
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -71,11 +71,11 @@ def test_a_middleware_that_is_not_there_is_told_before_anything_starts(tmp_path:
     config = tmp_path / "real.yaml"
     config.write_text(CONFIG, encoding="utf-8")
     ros = ros_installation()
-    result = subprocess.run(
-        [COMMAND, "replay", str(config), "--log-dir", str(tmp_path / "logs")],
-        check=False,
-        capture_output=True,
-        text=True,
+    result = run(
+        "replay",
+        config,
+        "--log-dir",
+        str(tmp_path / "logs"),
         env={**os.environ, "RMW_IMPLEMENTATION": "rmw_nowhere_cpp"},
     )
     assert result.returncode != 0
@@ -87,11 +87,9 @@ def test_a_middleware_that_is_not_there_is_told_before_anything_starts(tmp_path:
 
 
 def test_the_daemon_refuses_a_middleware_that_is_not_there(ros_domain: int) -> None:
-    result = subprocess.run(
-        [COMMAND, "daemon", "start"],
-        check=False,
-        capture_output=True,
-        text=True,
+    result = run(
+        "daemon",
+        "start",
         env={
             **os.environ,
             "RMW_IMPLEMENTATION": "rmw_nowhere_cpp",

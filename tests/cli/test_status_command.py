@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from pathlib import Path
 
 from play_launch.cli.replay import DEMO
-from tests.support.replay import COMMAND, replaying
+from tests.support.replay import replaying, run
 from tests.support.waiting import until
 
 CONFIG = """
@@ -20,19 +19,13 @@ nodes:
 """
 
 
-def ran(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [COMMAND, *arguments], check=False, capture_output=True, text=True, timeout=60
-    )
-
-
 def test_status_tells_all_about_one_process(tmp_path: Path) -> None:
     config = tmp_path / "robot.yaml"
     config.write_text(CONFIG, encoding="utf-8")
     session = ("--session", str(tmp_path / "logs" / "latest"))
     with replaying(config, tmp_path / "logs", "-q"):
-        until(lambda: "ready" in ran("status", "talker", *session).stdout, "its output")
-        shown = ran("status", "talker", *session)
+        until(lambda: "ready" in run("status", "talker", *session).stdout, "its output")
+        shown = run("status", "talker", *session)
         assert shown.returncode == 0, shown.stderr
         lines = [line.strip() for line in shown.stdout.splitlines()]
         assert lines[0] == "/talker - process"
@@ -40,17 +33,17 @@ def test_status_tells_all_about_one_process(tmp_path: Path) -> None:
         assert any(line.startswith("Process: pid ") for line in lines)
         assert f"Declared: {config}:6" in lines
         assert lines[-1].endswith(" ready")
-        (row,) = json.loads(ran("status", "talker", "--json", *session).stdout)
+        (row,) = json.loads(run("status", "talker", "--json", *session).stdout)
         assert (row["name"], row["wanted"]) == ("/talker", True)
-        failed = ran("status", "failing", *session)
+        failed = run("status", "failing", *session)
         assert failed.returncode == 3
         assert "Process: exited with 7" in failed.stdout
-        assert ran("status", "nothing", *session).returncode == 2
+        assert run("status", "nothing", *session).returncode == 2
 
 
 def test_the_demo_is_part_of_the_package(tmp_path: Path) -> None:
     assert DEMO.is_file()
-    done = ran("demo", "--seconds", "8s", "-q", "--json", "--log-dir", tmp_path)
+    done = run("demo", "--seconds", "8s", "-q", "--json", "--log-dir", tmp_path)
     summary = json.loads(done.stdout.splitlines()[-1])
     assert sum(each["loaded"] for each in summary["containers"]) == 8, done.stderr
     assert done.returncode == 0

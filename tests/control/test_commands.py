@@ -24,7 +24,7 @@ from play_launch.control.sessions import connect, connect_to
 from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from tests.support.mounts import disk_of
-from tests.support.replay import COMMAND, Replay, alive, replaying
+from tests.support.replay import COMMAND, Replay, alive, replaying, run
 from tests.support.scenes import ending
 from tests.support.waiting import until
 
@@ -65,9 +65,7 @@ UP = {"/talker": "loaded", "/other": "loaded", "/camera": "loaded"}
 
 def ask(*arguments: str, code: int = 0) -> str:
     """Run a command to its end and return what it prints; it has to end with ``code``."""
-    result = subprocess.run(
-        [str(COMMAND), *arguments], check=False, capture_output=True, text=True, timeout=90
-    )
+    result = run(*arguments)
     assert result.returncode == code, (arguments, result.stdout, result.stderr)
     return result.stdout if code == 0 else result.stdout + result.stderr
 

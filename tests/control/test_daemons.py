@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from play_launch.control.registration import LINKS
-from tests.support.replay import COMMAND, Replay, alive, replaying
+from tests.support.replay import Replay, alive, replaying, run
 from tests.support.waiting import until
 
 SYSTEM = """
@@ -21,8 +20,7 @@ nodes:
 
 
 def asked(*arguments: str) -> str:
-    done = subprocess.run([COMMAND, *arguments], check=True, capture_output=True, timeout=90)
-    return done.stdout.decode()
+    return run(*arguments, code=0).stdout
 
 
 def sleeping(replay: Replay) -> list[int]:

@@ -21,7 +21,7 @@ from play_launch.control.registration import LINKS, address_of
 from play_launch.control.sessions import connect_to
 from play_launch.ros.node_services import NodeServices
 from tests.control.links import put_link
-from tests.support.replay import COMMAND, replaying
+from tests.support.replay import COMMAND, replaying, run
 
 DEAF = """
 import signal, time
@@ -65,7 +65,7 @@ def test_what_is_applied_meanwhile_is_what_is_waited_for(tmp_path: Path) -> None
             [COMMAND, "wait", "--json", *session], stdout=subprocess.PIPE, text=True
         )
         with waiting:
-            subprocess.run([COMMAND, "apply", target, *session], check=True, timeout=60)
+            run("apply", target, *session, code=0)
             said, _ = waiting.communicate(timeout=60)
         assert waiting.returncode == 0
         assert json.loads(said)["names"] == ["/kept", "/new"]

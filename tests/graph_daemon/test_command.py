@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +16,7 @@ from play_launch.cli.daemon import describe
 from play_launch.graph_daemon.contract import DaemonAddress
 from play_launch.graph_daemon.port import OwnerKind, PortOwner, stop_daemon
 from tests.graph_daemon.occupants import end_daemons, occupied
+from tests.support.replay import run
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = Path(sys.executable).parent / "play-launch"
@@ -24,14 +24,7 @@ COMMAND = Path(sys.executable).parent / "play-launch"
 
 def command(*words: str, **environment: str) -> tuple[int, str, str]:
     """Run a verb; returns its exit code and what it wrote."""
-    done = subprocess.run(
-        [COMMAND, "daemon", *words],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env={**os.environ, **environment},
-    )
+    done = run("daemon", *words, env={**os.environ, **environment})
     return done.returncode, done.stdout, done.stderr
 
 

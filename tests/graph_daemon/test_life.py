@@ -16,12 +16,11 @@ import pytest
 
 from play_launch.graph_daemon import port
 from play_launch.graph_daemon.contract import LISTENING, STATUS_METHOD, DaemonAddress
-from play_launch.graph_daemon.port import OwnerKind, PortHeldError, find_owner, listen, stop_daemon
+from play_launch.graph_daemon.port import OwnerKind, PortHeldError, find_owner, stop_daemon
 from play_launch.graph_daemon.start_stop import (
     DaemonStartError,
     StartedDaemon,
     log_path,
-    spawn,
     start_daemon,
 )
 from play_launch.ros.fastdds.shared_memory import sweep
@@ -228,8 +227,8 @@ def test_one_that_cannot_start_is_reported_with_its_reason(
     broken.mkdir()
     (broken / "__init__.py").write_text('raise ImportError("this rclpy is broken")')
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with listen(address) as listener, pytest.raises(DaemonStartError, match="this rclpy is broken"):
-        spawn(address, listener, idle_timeout=0, wait_for=LISTENING)
+    with pytest.raises(DaemonStartError, match="this rclpy is broken"):
+        start_daemon(address, wait_for=LISTENING)
     assert stock_can_start(address)
 
 

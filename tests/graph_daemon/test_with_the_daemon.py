@@ -10,6 +10,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests.support.replay import finished
+
 LIMIT = 120.0
 COMMAND = "from play_launch.cli.entry import main; main()"
 NODE = """
@@ -28,13 +30,7 @@ rclpy.shutdown()
 
 
 def command(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", COMMAND, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=LIMIT,
-        check=False,
-    )
+    return finished([sys.executable, "-c", COMMAND, *arguments])
 
 
 def output(*arguments: str) -> str:

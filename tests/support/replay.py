@@ -23,18 +23,24 @@ from tests.support.waiting import until
 COMMAND = Path(sys.executable).parent / "play-launch"
 
 
-def run(
-    *words: object, code: int | None = None, **options: Any
+def finished(
+    command: Sequence[object], *, code: int | None = None, **options: Any
 ) -> subprocess.CompletedProcess[str]:
-    """Run the command to its end; with ``code``, it has to exit with that."""
-    command = [str(COMMAND), *map(str, words)]
+    """Run a program to its end; with ``code``, it has to exit with that."""
     done = subprocess.run(
-        command,
+        [*map(str, command)],
         check=False,
         **{"capture_output": True, "text": True, "timeout": 120, **options},
     )
     assert code in {None, done.returncode}, f"{done.returncode}: {done.stdout}{done.stderr}"
     return done
+
+
+def run(
+    *words: object, code: int | None = None, **options: Any
+) -> subprocess.CompletedProcess[str]:
+    """Run the command to its end; with ``code``, it has to exit with that."""
+    return finished([COMMAND, *words], code=code, **options)
 
 
 def recorded(bag: Path, topic: str) -> list[Any]:

@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.cli.output import counted, duration, redirect_to_devnull
 from play_launch.cli.show.lines import DisplayLine, format_lines, line_of, missed_line
-from play_launch.control.event_words import event_object
+from play_launch.control.event_words import because, event_object
 from play_launch.process.exit import Exit
 from play_launch.supervisor.events import (
     ContainerState,
@@ -297,7 +297,7 @@ def container_status(container: ContainerView, now_ns: int = 0) -> str:
     if container.state is not ContainerState.RUNNING:
         is_starting = container.state is ContainerState.STARTING
         waited = _waited(container.stamp_ns, now_ns) if is_starting else ""
-        return _because(container.state.value, container.reason) + waited
+        return because(container.state.value, container.reason) + waited
     parts = [f"loaded {container.loaded}/{container.total}"]
     if container.failed:
         parts.append(f"failed: {node_names(container.failed)}")
@@ -319,7 +319,7 @@ def process_status(process: ProcessEvent) -> str:
         case ProcessEventKind.EXITED:
             return ending(process)
         case ProcessEventKind.RESTARTING | ProcessEventKind.GAVE_UP:
-            return _because(process.kind.name.lower().replace("_", " "), process.message)
+            return because(process.kind.name.lower().replace("_", " "), process.message)
         case ProcessEventKind.STOPPING | ProcessEventKind.STOPPED:
             return process.kind.name.lower()
         case ProcessEventKind.WAITING:
@@ -340,7 +340,3 @@ def _waited(since_ns: int, now_ns: int) -> str:
 def node_names(nodes: tuple[NodeStateChanged, ...]) -> str:
     more = f" and {len(nodes) - 1} more" if len(nodes) > 1 else ""
     return f"{nodes[0].node}{more}"
-
-
-def _because(state: str, reason: str) -> str:
-    return f"{state}: {reason}" if reason else state

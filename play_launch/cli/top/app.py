@@ -20,7 +20,7 @@ from textual.widgets import DataTable, Footer, Input, RichLog, Static
 
 from play_launch.cli.top import model
 from play_launch.cli.top.link import POLL_INTERVAL, SessionLink
-from play_launch.cli.top.modals import STYLE, FilterPrompt, Help, Question
+from play_launch.cli.top.modals import FilterPrompt, Help, Question
 from play_launch.control.protocol import OperationError
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class TopApp(App[ScreenEnd]):
     """One session, until it ends or the user leaves."""
 
     ENABLE_COMMAND_PALETTE = False
-    CSS = STYLE
+    CSS_PATH = "top.tcss"
     # With priority, the application handles each key before the next one is dispatched: keys that
     # were typed ahead act on the row that the earlier ones selected.
     BINDINGS: ClassVar[list[BindingType]] = [

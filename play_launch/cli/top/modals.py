@@ -1,4 +1,4 @@
-"""The style of the screen, and the modal screens: questions, help, filter."""
+"""The modal screens: questions, help, filter."""
 
 from __future__ import annotations
 
@@ -13,34 +13,6 @@ if TYPE_CHECKING:
     from textual import events
     from textual.app import ComposeResult
 
-# The terminal's own colours, and nothing that only a colour says.
-STYLE: Final = """
-Screen { layout: vertical; overflow: hidden; }
-ModalScreen { background: transparent; align: center middle; }
-Static { height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
-#head { text-style: bold; }
-#table { height: 3fr; min-height: 3; scrollbar-size: 0 0; background: ansi_default; }
-#table > .datatable--header {
-    background: ansi_default; color: ansi_default; text-style: bold underline; }
-#table > .datatable--cursor, #table:focus > .datatable--cursor {
-    background: ansi_default; color: ansi_default; text-style: reverse; }
-#detail { text-style: dim; }
-#detail.-message { text-style: bold; }
-#log-title { text-style: bold underline; }
-#table:focus > .datatable--header, #log-title.-focused { text-style: bold reverse; }
-#log { height: 2fr; min-height: 1; scrollbar-size: 0 0; background: ansi_default; }
-Footer, FooterKey, FooterKey .footer-key--key, FooterKey .footer-key--description {
-    background: ansi_default; color: ansi_default; }
-Question > Vertical, Help > VerticalScroll {
-    width: 60; max-width: 100%; height: auto; max-height: 100%; padding: 0 1;
-    border: ascii ansi_default; scrollbar-size: 0 0; background: ansi_default; }
-Help > VerticalScroll { width: 82; }
-Question Static, Help Static { height: auto; text-wrap: wrap; }
-FilterPrompt { align: left bottom; }
-FilterPrompt > Horizontal { height: 1; background: ansi_default; }
-FilterPrompt Static { width: 7; text-style: bold; }
-FilterPrompt Input { width: 1fr; background: ansi_default; color: ansi_default; }
-"""
 _KEYS: Final = """\
 Up Down PgUp PgDn   select a row, or scroll the log
 Home End            first or last row; start or end of the log

@@ -17,7 +17,7 @@ import pytest
 
 from play_launch.cli.output import printable
 from play_launch.control.registration import LINKS
-from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.replay import COMMAND, Replay, finished, replaying, run
 from tests.support.scenes import TALKER_AND_SLEEPER
 from tests.support.terminal import Terminal, on_terminal
 from tests.support.waiting import until
@@ -78,9 +78,7 @@ def top_of(replay: Replay, **how: Any) -> contextlib.AbstractContextManager[Term
 
 
 def pids(replay: Replay) -> dict[str, int]:
-    done = subprocess.run(
-        [COMMAND, "ps", "--json", "--session", str(replay.pid)], check=True, capture_output=True
-    )
+    done = run("ps", "--json", "--session", str(replay.pid), code=0)
     return {row["name"]: row["pid"] for row in json.loads(done.stdout)}
 
 
@@ -170,7 +168,7 @@ def test_without_colours_nothing_is_lost(robot: Replay, environment: dict[str, s
 
 def test_where_no_screen_can_be_the_error_names_what_needs_none(robot: Replay) -> None:
     command = [str(COMMAND), "top", "--session", str(robot.pid)]
-    piped = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    piped = finished(command)
     assert (piped.returncode, piped.stdout) == (2, "")
     assert "standard output is not one; play-launch ps lists" in piped.stderr
     with top_of(robot, TERM="dumb") as terminal:

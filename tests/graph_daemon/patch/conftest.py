@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from play_launch.graph_daemon.patch import write
+from tests.support.replay import finished
 
 STAND_IN = Path(__file__).with_name("stand_in")
 LIMIT = 60.0
@@ -25,14 +26,7 @@ class Ros:
     site: Path
 
     def run(self, code: str) -> str:
-        outcome = subprocess.run(
-            [str(self.python), "-c", code],
-            capture_output=True,
-            text=True,
-            timeout=LIMIT,
-            check=True,
-            env={},
-        )
+        outcome = finished([str(self.python), "-c", code], code=0, env={})
         return outcome.stdout.strip()
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 from play_launch.graph_daemon.patch import PatchError, default_folder
-from tests.graph_daemon.patch.conftest import LIMIT, Ros, write_release
+from tests.graph_daemon.patch.conftest import Ros, write_release
+from tests.support.replay import run
 
 COMMAND = Path(sys.executable).parent / "play-launch"
 MARKS = """
@@ -21,13 +21,8 @@ print(*(getattr(sys.modules["ros2cli." + name], "__play_launch__", "stock") for 
 
 
 def command(ros: Ros, *words: str) -> tuple[int, str]:
-    done = subprocess.run(
-        [COMMAND, "daemon", *words],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=LIMIT,
-        env={**os.environ, "PATH": str(ros.root / "bin"), "PYTHONPATH": ""},
+    done = run(
+        "daemon", *words, env={**os.environ, "PATH": str(ros.root / "bin"), "PYTHONPATH": ""}
     )
     return done.returncode, done.stdout + done.stderr
 

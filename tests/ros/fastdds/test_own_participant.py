@@ -15,6 +15,7 @@ import pytest
 from play_launch.ros.fastdds.middleware import profile_in_use
 from play_launch.ros.fastdds.own_participant import as_our_own, decide
 from tests.support.loopback_network import permitted, wrapped
+from tests.support.replay import finished
 
 PATIENCE = 60.0
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -37,9 +38,7 @@ ros.close()
 
 def seen_by_children() -> str:
     """What a program gets that is started with the C library's environment."""
-    return subprocess.run(
-        ["/usr/bin/env"], env=None, check=True, capture_output=True, text=True
-    ).stdout
+    return finished(["/usr/bin/env"], code=0, env=None).stdout
 
 
 def arrivals(listener: socket.socket, count: int) -> list[float]:
@@ -144,9 +143,7 @@ def test_children_do_not_get_what_is_ours(reach: str, monkeypatch: pytest.Monkey
     before = dict(os.environ)
     with as_our_own(os.environ, FASTDDS):
         assert dict(os.environ) == before
-        given = subprocess.run(
-            ["/usr/bin/env"], env=os.environ, check=True, capture_output=True, text=True
-        ).stdout
+        given = finished(["/usr/bin/env"], code=0, env=os.environ).stdout
         assert VARIABLE not in given
         assert f"{RANGE}={reach}" in given
         ours = dict(line.partition("=")[::2] for line in seen_by_children().splitlines())
