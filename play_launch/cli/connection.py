@@ -40,10 +40,8 @@ def connected(
 ) -> Iterator[ControlClient]:
     """Connect to a session for the block; its errors are reported and end the process.
 
-    Args:
-        session: Folder, name or pid; None: the only one.
-        deadline: Until when to wait for a session, on the monotonic clock.
-        failed: Exit code where a request failed.
+    ``deadline`` is until when to wait for a session, on the monotonic clock; ``failed`` is the exit
+    code where a request failed.
     """
     try:
         with _connect(session, deadline) as client:
@@ -77,9 +75,7 @@ def _connect(session: str | None, deadline: float | None) -> ControlClient:
 def report_end(hello: SessionInfo, reason: str = "") -> int:
     """Report how a session ended that closed its connection; return the exit code.
 
-    Args:
-        hello: Which session.
-        reason: Why its client gave up; empty: the connection was closed.
+    ``reason`` is why its client gave up; empty: the connection was closed.
     """
     text, status = _how_it_ended(hello, reason)
     if status == ExitCode.OK:

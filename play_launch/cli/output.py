@@ -281,9 +281,8 @@ def whole_file(output: Path) -> Iterator[Path]:
     Nothing is left of a file that was not completed because of a full disk or Ctrl-C. ``-`` is
     standard output, as is what leads to descriptor 1.
 
-    Raises:
-        OutputError: When it cannot be written, also for an OSError in the block, or would replace
-            a recording.
+    Raises OutputError when it cannot be written, also for an OSError in the block, or would replace
+    a recording.
     """
     import tempfile  # noqa: PLC0415 - not for verbs without a file
     from pathlib import Path  # noqa: PLC0415

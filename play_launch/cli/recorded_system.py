@@ -28,8 +28,7 @@ _MOST: Final = 20
 def load_recorded(path: Path, arguments: Mapping[str, str] | None = None) -> ReplayConfig:
     """Read the configuration of a recording, and report what differs here.
 
-    Raises:
-        ConfigError: When it holds none, or one that this version does not accept.
+    Raises ConfigError when it holds none, or one that this version does not accept.
     """
     recorded = recorded_config(path, arguments)
     found = list(differences(recorded, os.environ, versions()))

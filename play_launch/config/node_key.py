@@ -24,8 +24,7 @@ class NodeKey(Struct, frozen=True, order=True):
     def parsed(cls, text: str) -> NodeKey:
         """Read what `str` wrote.
 
-        Raises:
-            ValueError: When it is no such text.
+        Raises ValueError when it is no such text.
         """
         # Both are full names or labels: they begin with the only slash that a colon can precede.
         container, separator, name = text.partition(":/")

@@ -53,9 +53,8 @@ class ControlClient:
     def __init__(self, folder: str, timeout: float = TIMEOUT) -> None:
         """Connect to the session in a folder and read its hello.
 
-        Raises:
-            OSError: When the connection fails, TimeoutError included.
-            OperationError: When something else listens, or the session refuses.
+        Raises OSError when the connection fails, TimeoutError included, and OperationError when
+        something else listens, or the session refuses.
         """
         deadline = time.monotonic() + timeout
         self._connection = socket.socket(socket.AF_UNIX)
@@ -99,8 +98,7 @@ class ControlClient:
     ) -> Any:
         """Request an operation of docs/control.md and return its result.
 
-        Raises:
-            OperationError: When the session refuses, or does not answer within ``limit`` seconds.
+        Raises OperationError when the session refuses, or does not answer within ``limit`` seconds.
         """
         for message in self.stream(operation, arguments, limit=limit):
             if "result" in message:
@@ -118,8 +116,7 @@ class ControlClient:
 
         When the session ends, there is no result. ``limit`` is in seconds, for all of it.
 
-        Raises:
-            OperationError: When the session refuses, or at the time limit.
+        Raises OperationError when the session refuses, or at the time limit.
         """
         deadline = None if limit is None else time.monotonic() + limit
         number = self.request(operation, arguments, limit=TIMEOUT)
@@ -145,8 +142,7 @@ class ControlClient:
     ) -> int:
         """Send a request and return its number; `arrived` returns the answers.
 
-        Raises:
-            OperationError: When the session does not read it within ``limit`` seconds.
+        Raises OperationError when the session does not read it within ``limit`` seconds.
         """
         number = next(self._numbers)
         line = encode(
@@ -177,9 +173,8 @@ class ControlClient:
     def arrived(self) -> list[dict[str, Any]]:
         """Return the messages that have arrived, of all requests, without waiting.
 
-        Raises:
-            EOFError: When the session has ended, or the connection.
-            OperationError: When a message is malformed.
+        Raises EOFError when the session has ended, or the connection, and OperationError when a
+        message is malformed.
         """
         try:
             self._fill(0.0)

@@ -75,13 +75,9 @@ class Seen(NamedTuple):
 def connect(session: str | None = None, *, limit: float = TIMEOUT) -> ControlClient:
     """Connect to the running session, or to the named one.
 
-    Args:
-        session: Folder, pid or name of a session; None if only one runs.
-        limit: Seconds for its hello.
-
-    Raises:
-        NoSessionError: When no session runs, or more than one.
-        OperationError: When it refuses, or does not answer.
+    ``session`` is a folder, pid or name; its hello has to come within ``limit`` seconds. Raises
+    NoSessionError when no session runs, or more than one, and OperationError when it refuses, or
+    does not answer.
     """
     if session is not None and _is_folder(session):
         return connect_to(session, limit=limit)

@@ -79,16 +79,10 @@ def chosen(
 ) -> list[Target]:
     """Find the units that names and patterns mean, in the order of the candidates, each once.
 
-    Args:
-        wanted: Full names, names without their namespace where only one has it, or patterns (``*``,
-            ``?`` and ``[]`` as in a shell, over the full name). A composable node can also be
-            written with its container, ``/container:/node``.
-        candidates: Units of the operation.
-        others: Units that the operation is not for.
-        hint: What to use for one of those.
-
-    Raises:
-        OperationError: When one of them matches nothing, or a name several units.
+    They are full names, names without their namespace where only one has it, or patterns (``*``,
+    ``?`` and ``[]`` as in a shell, over the full name); a composable node can also be written with
+    its container, ``/container:/node``. ``others`` are units that the operation is not for, and
+    ``hint`` what to use for them. Raises OperationError where one means nothing, or a name several.
     """
     found: set[Target] = set()
     for word in wanted:

@@ -41,12 +41,7 @@ _log = logging.getLogger(__name__)
 
 
 class Daemon:
-    """One daemon of one domain.
-
-    Args:
-        address: The address it serves at, for its domain.
-        idle_timeout: Seconds without a request after which it ends; 0 for never.
-    """
+    """The daemon of a domain; it ends after so many seconds without a request, 0 is never."""
 
     def __init__(self, address: DaemonAddress, *, idle_timeout: float = IDLE_TIMEOUT) -> None:
         self._address = address
@@ -59,9 +54,8 @@ class Daemon:
     async def run(self, listener: socket.socket, report: Callable[[str], None]) -> None:
         """Serve until a client, a signal or idleness ends it; for the main thread.
 
-        Args:
-            listener: Listens at the address; it belongs to the daemon from now on.
-            report: Called with `LISTENING` and `WARM` when these states are reached.
+        The listener belongs to the daemon; ``report`` is called with `LISTENING` and `WARM` when
+        these states are reached.
         """
         # Loads ROS, which takes a while; meanwhile clients queue at the listener.
         from play_launch.graph_daemon.ros_graph import (  # noqa: PLC0415

@@ -67,10 +67,8 @@ class ServerLimits:
 class HttpServer:
     """Accepts clients on a listening socket and passes their requests on.
 
-    Args:
-        listener: Bound and listening; it belongs to the server from now on.
-        answer: Called with the body of a request; returns the body of the response.
-        limits: What clients may take.
+    The listener belongs to the server; ``answer`` is called with the body of a request and returns
+    that of the response.
     """
 
     def __init__(
@@ -192,10 +190,8 @@ class HttpServer:
 class HttpConnection:
     """Reads at most one request and `_READ_AT_ONCE`; the rest waits in the kernel.
 
-    Args:
-        server: What it belongs to.
-        client: A socket that does not block.
-        deadline: Seconds for a request and its answer; an idle client is kept as long.
+    The socket does not block; ``deadline`` is in seconds, for a request and its answer, and for an
+    idle client.
     """
 
     def __init__(self, server: HttpServer, client: socket.socket, deadline: float) -> None:

@@ -62,9 +62,7 @@ async def observe_graph(environment: Mapping[str, str], sink: EventSink) -> None
     A daemon that runs is used as it is; one that has ended is started again. It is never stopped:
     other sessions may use it, and without requests it exits.
 
-    Args:
-        environment: That of the system's processes, for domain and discovery.
-        sink: Takes the events, in the loop's thread.
+    The environment is that of the system's processes, for domain and discovery.
     """
     try:
         address = daemon_address(environment)

@@ -188,11 +188,8 @@ def acquire(
 ) -> Port:
     """Acquire the port, from another daemon if need be.
 
-    Args:
-        address: The daemon's address.
-        restart: Whether a daemon of ours that runs is replaced.
-        environment: The caller's, to compare with the settings of one that is kept.
-        notify: Called with a line when the port is not free for longer.
+    A daemon of ours that runs is kept, and its settings compared with the environment, unless
+    ``restart``. ``notify`` is called with a line when the port is not free for longer.
 
     Raises ``PortHeldError`` where it belongs to another process, and ``DaemonError``.
     """

@@ -50,11 +50,7 @@ class _Reply(NamedTuple):
 class GraphService:
     """The daemon without its sockets. Everything but `changed` and `use` is for the loop's thread.
 
-    Args:
-        functions: The methods of the graph, by name.
-        participants_here: Counts the participants of this machine.
-        status: Returns the answer of `STATUS_METHOD`.
-        shutdown: Called when a client asks the daemon to end.
+    ``functions`` are the methods of the graph; ``shutdown`` is called when a client ends it.
     """
 
     def __init__(

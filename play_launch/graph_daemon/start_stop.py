@@ -63,15 +63,9 @@ def start_daemon(
 ) -> StartedDaemon:
     """Start a daemon in the background, unless one of ours runs.
 
-    Args:
-        address: The daemon's address.
-        idle_timeout: Seconds without a request after which it ends; 0 for never.
-        wait_for: State to wait for: `LISTENING` or `WARM`.
-        restart: Whether a running one is replaced.
-        environment: Environment of the daemon's process.
-        notify: As of `acquire`.
-
-    Raises ``PortHeldError``, ``DaemonStartError`` and ``DaemonError``.
+    It ends after ``idle_timeout`` seconds without a request; 0 is never. ``wait_for`` is
+    `LISTENING` or `WARM`. The other arguments are as of `acquire`; the environment is that of the
+    daemon's process. Raises ``PortHeldError``, ``DaemonStartError`` and ``DaemonError``.
     """
     port = acquire(address, restart=restart, environment=environment, notify=notify)
     if port.listener is None:

@@ -42,8 +42,8 @@ class NodeServices:
     def call(self, node: str, service: str, kind: Any, request: Any, limit: float) -> Any:
         """Call ``<node>/<service>`` of that type and return the response.
 
-        Raises:
-            NodeServiceError: When there is no such service, or no answer within ``limit`` seconds.
+        Raises NodeServiceError when there is no such service, or no answer within ``limit``
+        seconds.
         """
         deadline = time.monotonic() + limit
         client = self._node.create_client(kind, f"{node}/{service}")
@@ -90,9 +90,8 @@ class ParameterClient(NodeServices):
     def get(self, node: str, names: list[str]) -> dict[str, Any]:
         """Read parameters.
 
-        Raises:
-            NodeServiceError: When the node does not answer.
-            ValueError: When it has no such parameter.
+        Raises NodeServiceError when the node does not answer, and ValueError when it has no such
+        parameter.
         """
         values = self._values(node, names)
         missing = [name for name, value in values.items() if _is_not_set(value)]
@@ -103,8 +102,7 @@ class ParameterClient(NodeServices):
     def dump(self, node: str) -> dict[str, Any]:
         """Read all parameters of a node, sorted; those without a value are left out.
 
-        Raises:
-            NodeServiceError: When the node does not answer.
+        Raises NodeServiceError when the node does not answer.
         """
         request = ListParameters.Request()
         answer = self.call(node, "list_parameters", ListParameters, request, self._limit)
@@ -115,9 +113,8 @@ class ParameterClient(NodeServices):
     def set(self, node: str, name: str, text: str) -> None:
         """Set a parameter to what a text means as the type that it has.
 
-        Raises:
-            NodeServiceError: When the node does not answer.
-            ValueError: When the text is of another type, or the node refuses it.
+        Raises NodeServiceError when the node does not answer, and ValueError when the text is of
+        another type, or the node refuses it.
         """
         now = self._values(node, [name])[name]
         value = typed(text, int(now.type))
@@ -138,8 +135,7 @@ class ParameterClient(NodeServices):
 def typed(text: str, kind: int) -> Any:
     """Read a text as a value of a type, a number of `ParameterType`; NOT_SET: as YAML has it.
 
-    Raises:
-        ValueError: It is not of that type.
+    Raises ValueError where it is not of that type.
     """
     if kind == ParameterType.PARAMETER_STRING:
         return ParameterValue(type=kind, string_value=text)

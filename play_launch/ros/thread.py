@@ -123,8 +123,7 @@ class RosThread:
     async def call(self, work: Callable[[Node], _T]) -> _T:
         """Have something done in the thread and wait for its result.
 
-        Raises:
-            RosThreadError: When the thread did not start, or ends before that.
+        Raises RosThreadError when the thread did not start, or ends before that.
         """
         loop = asyncio.get_running_loop()
         future: asyncio.Future[_T] = loop.create_future()
@@ -143,8 +142,7 @@ class RosThread:
     async def until(self, holds: Callable[[Node], bool]) -> None:
         """Wait until something is so, looking in the thread now and after changes of the graph.
 
-        Raises:
-            RosThreadError: As `call`.
+        Raises RosThreadError as `call`.
         """
         loop = asyncio.get_running_loop()
         future: asyncio.Future[None] = loop.create_future()

@@ -204,9 +204,7 @@ _STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 def container_at_end(before: ContainerView, after: ContainerView) -> str:
     """Describe a container of a run that is over; empty: it had all of its nodes, and stopped well.
 
-    Args:
-        before: As it was when the end began.
-        after: As it is now.
+    ``before`` is as it was when the end began, ``after`` as it is now.
     """
     state = "" if is_complete(before) else container_status(before)
     if state and before.state in {ContainerState.STARTING, ContainerState.STOPPING}:
@@ -218,13 +216,7 @@ def container_at_end(before: ContainerView, after: ContainerView) -> str:
 
 
 def process_at_end(before: ProcessEvent, after: ProcessEvent, *, dismissed: bool = False) -> str:
-    """Describe an ordinary process of a run that is over.
-
-    Args:
-        before: As it was when the end began.
-        after: As it is now.
-        dismissed: Whether an operator had stopped it.
-    """
+    """Describe a process of a run that is over; ``dismissed``: an operator had stopped it."""
     match before.kind:
         case ProcessEventKind.EXITED if dismissed:
             return stop_problem(before) or "stopped"

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from play_launch.cli.output import clock, duration, printable, size
 from play_launch.control.feed import CONSOLE_FORMAT, logger_of
+from play_launch.control.messages import UnitRow
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -53,21 +54,8 @@ class RowId(NamedTuple):
         return f"{self.container}:{self.name}" if self.container else self.name
 
 
-class TopRow(Struct, frozen=True):
-    """The shown fields of one object of ``ps`` (docs/control.md)."""
-
-    name: str
-    kind: str
-    state: str
-    container: str | None = None
-    reason: str = ""
-    pid: int | None = None
-    restarts: int = 0
-    uptime_s: float | None = None
-    exit_code: int | None = None
-    signal: int | None = None
-    cpu_percent: float | None = None
-    memory_bytes: int | None = None
+class TopRow(UnitRow, frozen=True):
+    """One object of ``ps`` (docs/control.md)."""
 
     @property
     def subject(self) -> RowId:

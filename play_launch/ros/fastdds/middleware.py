@@ -44,12 +44,7 @@ def files_here() -> list[str]:
 
 
 def profile_in_use(environment: Mapping[str, str], files: Iterable[str]) -> str | None:
-    """Describe where Fast DDS finds profiles; None where it finds none.
-
-    Args:
-        environment: Environment of the process.
-        files: Names of the files in its working directory.
-    """
+    """Describe where Fast DDS finds profiles, by the names in the working directory, too."""
     for variable in PROFILE_VARIABLES:
         if environment.get(variable):
             return f"{variable} is set"

@@ -68,13 +68,7 @@ class OwnParticipant:
 def decide(environment: Mapping[str, str], files: Iterable[str], rmw: str) -> OwnParticipant | None:
     """Decide how our participant discovers others; what the user has configured is kept.
 
-    Args:
-        environment: Environment of the process.
-        files: Names of the files in its working directory.
-        rmw: The middleware in use.
-
-    Returns:
-        None with another middleware.
+    ``files`` are names in the working directory. Returns None with another middleware.
     """
     if not is_fastdds(rmw):
         return None
@@ -100,10 +94,6 @@ def as_our_own(environment: Mapping[str, str], rmw: str) -> Iterator[OwnParticip
     range when a context is made; so this is to be around both, of each participant of a process.
 
     The variables are set past ``os.environ``, from which the environment of children is made.
-
-    Args:
-        environment: Environment of this process.
-        rmw: The middleware in use.
     """
     chosen = decide(environment, files_here(), rmw)
     with _lock, contextlib.ExitStack() as until_made:
@@ -134,13 +124,8 @@ def _set(variables: Mapping[str, str | None]) -> None:
 def end_participants_safely(libraries: tuple[str, ...] = _LIBRARIES) -> int:
     """Replace the waits in the libraries that are loaded, so after the middleware's.
 
-    Does nothing with another middleware, and where our own library is not installed.
-
-    Args:
-        libraries: How their file names begin.
-
-    Returns:
-        In how many it was replaced.
+    Does nothing with another middleware, and where our own library is not installed. Returns in how
+    many it was done.
     """
     for prefix in (Path(sys.prefix), *ament_prefixes(os.environ)):
         path = prefix / _WAITS

@@ -251,8 +251,7 @@ def _take_semaphore(name: str, held: ExitStack) -> bool:
 
     Returns whether we have it.
 
-    Raises:
-        OSError: When it cannot be opened, or was removed while we did.
+    Raises OSError when it cannot be opened, or was removed while we did.
     """
     posix_name = name.removeprefix("sem.")
     libc = _libc()

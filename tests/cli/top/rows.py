@@ -12,8 +12,17 @@ STATES = sorted(
 )
 
 
-def row(name: str, state: str = "running", kind: str = "container", **fields: Any) -> TopRow:
-    return TopRow(name=name, kind=kind, state=state, **fields)
+NOTHING: dict[str, Any] = {
+    **dict.fromkeys(("container", "managed", "pid", "uptime_s", "exit_code", "signal")),
+    **dict.fromkeys(("cpu_percent", "memory_bytes", "memory_kind")),
+    "reason": "",
+    "restarts": 0,
+    "crashes": 0,
+}
+
+
+def row(name: str, state: str = "running", kind: Any = "container", **fields: Any) -> TopRow:
+    return TopRow(**{**NOTHING, "name": name, "kind": kind, "state": state, **fields})
 
 
 def node(name: str, container: str, state: str = "loaded", **fields: Any) -> TopRow:

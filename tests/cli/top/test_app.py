@@ -21,6 +21,7 @@ from play_launch.control.protocol import Code, OperationError
 from play_launch.control.registration import LINKS, ControlSocket
 from play_launch.control.server import serving
 from play_launch.control.sessions import connect_to
+from tests.cli.top.rows import NOTHING
 from tests.support.waiting import LIMIT
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ ABOUT = SessionHello(
 
 
 def row(name: str, state: str = "running", kind: str = "process", **fields: Any) -> dict[str, Any]:
-    return {"name": name, "kind": kind, "state": state, "container": None, **fields}
+    return {**NOTHING, "name": name, "kind": kind, "state": state, **fields}
 
 
 def output(text: str, source: str = "/a") -> dict[str, Any]:

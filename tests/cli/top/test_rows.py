@@ -16,11 +16,12 @@ from play_launch.cli.top.model import (
     rows_of,
     uptime,
 )
-from tests.cli.top.rows import node, row
+from tests.cli.top.rows import NOTHING, node, row
 
 
 def test_rows_are_read_from_an_answer_whatever_else_is_in_it() -> None:
-    answer = [{"name": "/a", "kind": "process", "state": "running", "cpu_percent": 3, "new": [1]}]
+    known = {"name": "/a", "kind": "process", "state": "running", "cpu_percent": 3}
+    answer = [{**NOTHING, **known, "new": [1]}]
     assert rows_of(answer) == [row("/a", kind="process", cpu_percent=3.0)]
 
 
