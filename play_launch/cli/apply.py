@@ -136,16 +136,15 @@ def _evaluated(target: list[str], container_type: Containers) -> tuple[str, str]
         USUAL_TIMEOUT,
         evaluated,
         report_losses,
-        target_of,
     )
     from play_launch.launch_files.configuration.options import Options  # noqa: PLC0415
     from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
 
-    found = target_of(target)
+    name, description = evaluated(target, USUAL_TIMEOUT)
     chosen = Options(containers=container_type, folder=_NOWHERE)
-    made = written(evaluated(found, USUAL_TIMEOUT), chosen, "")
+    made = written(description, chosen, "")
     report_losses(made)
-    return str(_NOWHERE / f"{found.name}.yaml"), made.text
+    return str(_NOWHERE / f"{name}.yaml"), made.text
 
 
 def _print_plan(plan: Any, applying: str | None = None) -> None:

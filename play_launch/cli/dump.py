@@ -19,7 +19,6 @@ from play_launch.cli.target import (
     argument_values,
     evaluated,
     say_arguments,
-    target_of,
 )
 from play_launch.launch_files.configuration.options import Containers, Options
 
@@ -50,10 +49,13 @@ def dump(  # noqa: PLR0917 - options, by name
     from play_launch.cli.target import write_config  # noqa: PLC0415 - after --show-args
     from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
 
-    found = target_of(
-        target, launch_prefix=launch_prefix, launch_prefix_filter=launch_prefix_filter
+    _, description = evaluated(
+        target,
+        timeout,
+        only_arguments=show_args,
+        launch_prefix=launch_prefix,
+        launch_prefix_filter=launch_prefix_filter,
     )
-    description = evaluated(found, timeout, only_arguments=show_args)
     arguments = argument_values(description.arguments)
     if show_args:
         if as_json:
@@ -65,7 +67,7 @@ def dump(  # noqa: PLR0917 - options, by name
     made = written(
         description,
         _placed(chosen, output),
-        f"From {shlex.join(found.words)}, by play-launch dump.",
+        f"From {shlex.join(target)}, by play-launch dump.",
     )
     more = {"arguments": arguments, "files": description.files}
     return write_config(made, output, strict=strict, as_json=as_json, more=more)

@@ -20,7 +20,6 @@ from play_launch.cli.target import (
     report_losses,
     say_arguments,
     sizes,
-    target_of,
 )
 from play_launch.deploy.notification import claim
 from play_launch.launch_files.configuration.options import Containers, Options
@@ -50,23 +49,24 @@ def launch(  # noqa: PLR0917 - options, by name
     """
     # What the launch file starts while it is evaluated is no service either.
     manager = claim(os.environ)
-    found = target_of(
-        target, launch_prefix=launch_prefix, launch_prefix_filter=launch_prefix_filter
+    name, description = evaluated(
+        target,
+        timeout,
+        only_arguments=show_args,
+        launch_prefix=launch_prefix,
+        launch_prefix_filter=launch_prefix_filter,
     )
-    description = evaluated(found, timeout, only_arguments=show_args)
     if show_args:
         say_arguments(description.arguments)
         return ExitCode.OK
     from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
 
-    with tempfile.TemporaryDirectory(prefix="play-launch-") as name:
-        folder = Path(name)
+    with tempfile.TemporaryDirectory(prefix="play-launch-") as temporary:
+        folder = Path(temporary)
         chosen = Options(
             containers=container_type, show_all=show_all, folder=folder, files=folder / "files"
         )
-        made = written(
-            description, chosen, f"From {shlex.join(found.words)}, by play-launch launch."
-        )
+        made = written(description, chosen, f"From {shlex.join(target)}, by play-launch launch.")
         report_losses(made)
         note(sizes(made))
         if made.problems:
@@ -75,7 +75,7 @@ def launch(  # noqa: PLR0917 - options, by name
             )
         if strict and made.lost:
             fail("something gets lost; nothing was started")
-        config = folder / f"{found.name}.yaml"
+        config = folder / f"{name}.yaml"
         config.write_text(made.text, encoding="utf-8")
         for path, content in made.files.items():
             path.parent.mkdir(exist_ok=True)

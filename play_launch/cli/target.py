@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, TypeAlias
 
 import typer
-from msgspec import Struct
 from msgspec.structs import asdict
 
 from play_launch import ExitCode
@@ -43,39 +42,6 @@ _OF_LAUNCH: Final = frozenset(
 """Arguments that hold for all processes; no launch file declares them."""
 
 
-class LaunchTarget(Struct, frozen=True):
-    """A launch file, its arguments, and how it was named."""
-
-    path: Path
-    arguments: dict[str, str]
-    words: tuple[str, ...]
-
-    @property
-    def name(self) -> str:
-        """The name of the file without its endings, for a run."""
-        return self.path.name.partition(".")[0] or "launch"
-
-
-def target_of(
-    words: Sequence[str], *, launch_prefix: str = "", launch_prefix_filter: str = ""
-) -> LaunchTarget:
-    from play_launch.launch_files.find import find  # noqa: PLC0415 - not for other verbs
-
-    named = [each for each in words if ":=" not in each]
-    if len(named) not in (1, 2) or list(words[: len(named)]) != named:
-        fail("give a launch file, or a package and a launch file, then name:=value")
-    try:
-        given = _arguments(words[len(named) :])
-        # As `ros2 launch` hands them on.
-        if launch_prefix:
-            given["launch-prefix"] = launch_prefix
-        if launch_prefix_filter:
-            given["launch-prefix-filter"] = launch_prefix_filter
-        return LaunchTarget(Path.cwd() / find(named), given, tuple(words))
-    except ValueError as error:
-        fail(str(error))
-
-
 def _arguments(texts: Sequence[str]) -> dict[str, str]:
     """Read `name:=value`; any name will do, as in launch. Raises ValueError."""
     found: dict[str, str] = {}
@@ -89,21 +55,44 @@ def _arguments(texts: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def evaluated(target: LaunchTarget, timeout: float, *, only_arguments: bool = False) -> Description:
+def evaluated(
+    words: Sequence[str],
+    timeout: float,
+    *,
+    only_arguments: bool = False,
+    launch_prefix: str = "",
+    launch_prefix_filter: str = "",
+) -> tuple[str, Description]:
+    """Evaluate the launch file that a command line names; mistakes end the process.
+
+    Returns the name of the file without its endings, for a run, and what it describes.
+    """
+    from play_launch.launch_files.find import find  # noqa: PLC0415 - not for other verbs
     from play_launch.launch_files.ros_launch.evaluate import evaluate  # noqa: PLC0415
 
+    named = [each for each in words if ":=" not in each]
+    if len(named) not in (1, 2) or list(words[: len(named)]) != named:
+        fail("give a launch file, or a package and a launch file, then name:=value")
     try:
-        found = evaluate(
-            target.path, target.arguments, limit=timeout, only_arguments=only_arguments
-        )
+        arguments = _arguments(words[len(named) :])
+        path = Path.cwd() / find(named)
+    except ValueError as error:
+        fail(str(error))
+    # As `ros2 launch` hands them on.
+    if launch_prefix:
+        arguments["launch-prefix"] = launch_prefix
+    if launch_prefix_filter:
+        arguments["launch-prefix-filter"] = launch_prefix_filter
+    try:
+        found = evaluate(path, arguments, limit=timeout, only_arguments=only_arguments)
     except OSError as error:
-        fail(f"{target.path} cannot be evaluated: {error}")
+        fail(f"{path} cannot be evaluated: {error}")
     if not only_arguments:
         declared = {*_OF_LAUNCH, *(each.name for each in found.arguments)}
-        for name in target.arguments:
+        for name in arguments:
             if name not in declared:  # launch takes it without a word
                 note(f"note: no launch file declares the argument {name}")
-    return found
+    return path.name.partition(".")[0] or "launch", found
 
 
 def say_arguments(arguments: Sequence[Argument]) -> None:
