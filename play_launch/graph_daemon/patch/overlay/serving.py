@@ -104,8 +104,8 @@ def process_request(self: Any, request: socket.socket, client_address: Any) -> N
     """Serve a client in a thread; where there are too many, the oldest one is disconnected."""
     state = state_of(self)
     if len(state.clients) >= MOST_CONNECTIONS:
-        oldest = next(iter(state.clients))
-        del state.clients[oldest]
+        oldest = next(iter(tuple(state.clients)))  # threads remove their own meanwhile
+        state.clients.pop(oldest, None)
         with contextlib.suppress(OSError):
             oldest.shutdown(socket.SHUT_RDWR)
     state.clients[request] = None
