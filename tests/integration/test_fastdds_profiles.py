@@ -70,10 +70,3 @@ def test_profile(profile: str, expected: list[int], tmp_path: Path) -> None:
     assert sizes == expected
     assert replay.process.returncode == 130
     assert not left
-
-
-def test_profiles_are_named_in_the_docs() -> None:
-    text = (ROOT / "docs" / "fastdds.md").read_text(encoding="utf-8")
-    profiles = list(PROFILES.iterdir())
-    assert profiles
-    assert not [path for path in profiles if f"fixtures/fastdds/{path.name}" not in text]

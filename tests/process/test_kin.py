@@ -15,14 +15,11 @@ from pathlib import Path
 
 import psutil
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from play_launch.process import kin
 from play_launch.process.child import Child, spawn
 from play_launch.process.guard import SessionGuard
-from play_launch.process.identity import ProcessStat
-from play_launch.process.kin import below, mark_of
+from play_launch.process.kin import mark_of
 from play_launch.process.stop import StopPolicy, stop
 from tests.process.programs import Output, environment, python, shell
 from tests.support.waiting import until
@@ -251,26 +248,3 @@ async def test_whose_a_process_is_stands_there_while_another_program_is_executed
     child.send_signal(signal.SIGKILL)
     async with asyncio.timeout(60):
         await child.gone()
-
-
-@given(st.lists(st.integers(0, 30), min_size=1, max_size=30), st.sets(st.integers(1, 30)))
-def test_below_some_processes_is_what_has_one_of_them_among_its_ancestors(
-    parents: list[int], roots: set[int]
-) -> None:
-    table = [
-        ProcessStat(pid, "x", "S", parent, pid, pid, 1)
-        for pid, parent in enumerate(parents, start=1)
-    ]
-    parent_of = {each.pid: each.parent for each in table}
-
-    def descends(pid: int) -> bool:
-        seen: set[int] = set()
-        while pid not in seen:
-            if pid in roots:
-                return True
-            seen.add(pid)
-            pid = parent_of.get(pid, 0)
-        return False
-
-    found = {each.pid for each in below(table, roots)}
-    assert found == {pid for pid in parent_of if descends(pid)}

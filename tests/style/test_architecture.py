@@ -1,4 +1,4 @@
-"""docs/architecture.md names files and functions that exist, every room, and right numbers."""
+"""docs/architecture.md names files and functions that exist, and every room."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ PYTHON, NATIVE = ROOT / "play_launch", ROOT / "container_native" / "src"
 ROOTS = (ROOT, PYTHON, NATIVE)
 
 _PATH = re.compile(r"`([\w./]+/[\w.]*)`(?:: ((?:`\w+`(?:, )?)+))?")
-_WALK = re.compile(r"\*\*(.+): (\d+) steps in (\d+) files\.\*\*")
 
 
 def places() -> list[tuple[str, tuple[str, ...]]]:
@@ -50,26 +49,3 @@ def test_every_room_is_in_the_table() -> None:
     rooms = {path.parent for path in PYTHON.glob("*/__init__.py")}
     rooms |= {path for path in NATIVE.iterdir() if path.is_dir()}
     assert {str(room.relative_to(ROOT)) for room in rooms} == named
-
-
-def walks() -> dict[str, tuple[int, int, list[str]]]:
-    """Return the steps and files that each walk claims, and the rows of its table."""
-    found: dict[str, tuple[int, int, list[str]]] = {}
-    rows: list[str] = []
-    for line in PAGE.read_text(encoding="utf-8").splitlines():
-        if claim := _WALK.match(line):
-            rows = []
-            found[claim[1]] = (int(claim[2]), int(claim[3]), rows)
-        elif line.startswith(("#", "**")):
-            rows = []
-        elif re.match(r"\| \d+ \|", line):
-            rows.append(line)
-    return found
-
-
-def test_steps_of_the_walks_are_numbered_and_counted() -> None:
-    assert len(walks()) == 7
-    for steps, files, rows in walks().values():
-        assert [int(row.split("|")[1]) for row in rows] == list(range(1, len(rows) + 1))
-        named = {path for row in rows for path, _ in _PATH.findall(row)}
-        assert (steps, files) == (len(rows), len(named))
