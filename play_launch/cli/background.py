@@ -177,7 +177,7 @@ class Background(Struct):
             await asyncio.sleep(_TOPICS_DELAY)
             from play_launch.graph_daemon.observer import observe_graph  # noqa: PLC0415
 
-            await observe_graph({**os.environ, **self.config.environment}, self.publisher)
+            await observe_graph({**os.environ, **self.config.environment}, self.publisher.publish)
 
 
 async def run_ahead_of(publisher: Publisher, stop: StopRequests) -> None:

@@ -24,7 +24,7 @@ from play_launch.recording.bag import REPEATED
 from play_launch.recording.decisions import UnreadableInputError, read
 from play_launch.recording.facts import REDACTED
 from play_launch.recording.forms import convert
-from play_launch.supervisor.difference import NOTHING, Snapshot, events_between
+from play_launch.supervisor.difference import events_since
 from play_launch.supervisor.events import SubjectKind
 from play_launch.supervisor.inputs import Origin, Over, Raised
 from play_launch.supervisor.reducer import reduce
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     """Those of a `StateEvent`."""
 
 _OLD: Final = "it holds no inputs: an older version recorded it, or its beginning is missing"
+_FOREIGN: Final = ": another version recorded inputs that this one does not know"
 _NO_END: Final = "its end is missing"
 _WHAT: Final = ("kind", "key", "state")
 
@@ -94,6 +95,7 @@ def rerun(
 def _recorded(session: PastSession) -> RecordedInputs:
     decisions: list[Decision] = []
     states: list[Fields] = []
+    foreign = ""
     for message in session.reader.messages({topics.INPUTS.name, topics.STATES.name}):
         try:
             if message.topic.name == topics.INPUTS.name:
@@ -104,6 +106,7 @@ def _recorded(session: PastSession) -> RecordedInputs:
                 if fields["kind"] != SubjectKind.RECORDING:
                     states.append(fields)
         except (CdrError, UnreadableInputError) as error:
+            foreign = foreign or (_FOREIGN if isinstance(error, UnreadableInputError) else "")
             session.note_damage(message, error)
     flaw = ""
     origin = decisions[0].said if decisions else None
@@ -113,11 +116,11 @@ def _recorded(session: PastSession) -> RecordedInputs:
         first, last = before.number + 1, after.number - 1
         if first > last:
             continue
-        flaw = f"inputs {first} to {last} are missing"
+        flaw = f"inputs {first} to {last} are missing{foreign}"
         decisions = [each for each in decisions if each.number < first]
         break
     if not flaw and not isinstance(decisions[-1].said, Over):
-        flaw = _NO_END
+        flaw = f"{_NO_END}{foreign}"
     if not flaw and decisions[-1].events > len(states):
         missing = decisions[-1].events - len(states)
         return RecordedInputs([], states, f"{counted(missing, 'change')} of state are missing", 0)
@@ -158,7 +161,6 @@ def repeated(recorded: RecordedInputs, until: float | None, most: int | None) ->
 def _events(world: World, decision: Decision) -> list[Fields]:
     """Give what follows in a world, as a recording would hold it."""
     said = decision.said
-    before = NOTHING if isinstance(said, Origin) else Snapshot.of(world)
     effects = (
         []
         if isinstance(said, Origin | Over)
@@ -169,7 +171,7 @@ def _events(world: World, decision: Decision) -> list[Fields]:
             _warn(decision, effect.error)
     events: list[RunEvent] = []
     try:
-        events += events_between(before, world, now=decision.now, stamp_ns=0)
+        events += events_since(world, now=decision.now, stamp_ns=0)
     except Exception as error:  # noqa: BLE001 - as in the session, which goes on
         _warn(decision, error)
     found: list[Fields] = []

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from play_launch.graph_daemon.contract import DaemonAddress
-    from play_launch.supervisor.events import EventSink
 
 _Result = TypeVar("_Result")
 
@@ -56,7 +55,9 @@ _OWN_NODES: Final = (NODE_PREFIX, "_play_launch_recorder_")
 _log = logging.getLogger(__name__)
 
 
-async def observe_graph(environment: Mapping[str, str], sink: EventSink) -> None:
+async def observe_graph(
+    environment: Mapping[str, str], publish: Callable[[GraphChanged], None]
+) -> None:
     """Keep a daemon running, and publish a `GraphChanged` for each change, until cancelled.
 
     A daemon that runs is used as it is; one that has ended is started again. It is never stopped:
@@ -69,7 +70,7 @@ async def observe_graph(environment: Mapping[str, str], sink: EventSink) -> None
     except DomainError as error:
         _log.warning("no graph daemon: %s", error)
         return
-    observer = _Observer(address, sink)
+    observer = _Observer(address, publish)
     loop = asyncio.get_running_loop()
     while True:
         earliest = loop.time() + BETWEEN_STARTS
@@ -97,9 +98,9 @@ async def observe_graph(environment: Mapping[str, str], sink: EventSink) -> None
 
 
 class _Observer:
-    def __init__(self, address: DaemonAddress, sink: EventSink) -> None:
+    def __init__(self, address: DaemonAddress, publish: Callable[[GraphChanged], None]) -> None:
         self._client = GraphClient(address)
-        self._sink = sink
+        self._publish = publish
         self._known: Counter[str] = Counter()
         self._generation = -1
         self._warning = ""
@@ -153,7 +154,7 @@ class _Observer:
         now = Counter(each.full_name for each in nodes if not each.name.startswith(_OWN_NODES))
         self._known = now
         if before != now:
-            self._sink.publish(
+            self._publish(
                 GraphChanged(
                     stamp_ns=stamp_ns,
                     appeared=tuple(sorted((now - before).elements())),

@@ -47,7 +47,7 @@ _log = logging.getLogger(__name__)
 
 
 class Recorder:
-    """An :class:`~play_launch.supervisor.events.EventSink` that records.
+    """Records events.
 
     :meth:`publish` and requests of `topic_recorder` may come from any thread; they never block and
     never fail. The bag belongs to the recorder's thread. In each turn it writes all events, then

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.config.node_key import NodeKey
 from play_launch.runtime.commands import StartError
+from play_launch.supervisor.conditions import absent_units
 from play_launch.supervisor.inputs import ChangeRequested, ParametersSet
 from play_launch.supervisor.plan import Applied, Need, PlanKind, Result, StepOutcome, after, plan
-from play_launch.supervisor.view import absent
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -54,18 +54,7 @@ class Applying:
         return plan(self.config, target, self._absent())
 
     def _absent(self) -> dict[str, str]:
-        world, config = self._system.world, self.config
-        members = {*(each.full_name for each in config.containers)}
-        members |= {each.full_name for each in config.nodes}
-        nodes = {each.key for box in config.containers for each in box.composable_nodes}
-        left = [*(members - world.processes.keys()), *map(str, nodes - world.nodes.keys())]
-        leaving = [each.name for each in world.processes.values() if each.is_removed]
-        leaving += [each.name for each in world.processes.values() if each.next_config is not None]
-        leaving += [str(each.key) for each in world.nodes.values() if each.is_removed]
-        return {
-            **absent(self._system.publisher.view),
-            **dict.fromkeys([*leaving, *left], "it was asked to end"),
-        }
+        return absent_units(self._system.world, self.config)
 
     async def apply(
         self,

@@ -153,23 +153,19 @@ class Conversations:
         self._system = system
         self._open: dict[str, _Conversation] = {}
 
-    def begin(self, unit: str, instance: int) -> None:
-        """Begin a conversation with a node."""
-        self.end(unit)
-        scope = self._system.begin_task(partial(self._converse, unit))
-        self._open[unit] = _Conversation(instance, scope)
-
-    def transit(self, unit: str, instance: int, to: ManagedState) -> None:
-        """Request a transition."""
+    def drive(self, unit: str, instance: int, to: ManagedState) -> None:
+        """Begin a conversation with a node, request a transition, or end the conversation."""
         talk = self._open.get(unit)
-        if talk is not None and talk.instance == instance:
-            talk.to_do.put_nowait(to)
-
-    def end(self, unit: str) -> None:
-        """End the conversation with a node, if there is one."""
-        talk = self._open.pop(unit, None)
+        if to in _TRANSITIONS:
+            if talk is not None and talk.instance == instance:
+                talk.to_do.put_nowait(to)
+            return
         if talk is not None:
             talk.scope.cancel()
+            del self._open[unit]
+        if to is ManagedState.ASKED:
+            scope = self._system.begin_task(partial(self._converse, unit))
+            self._open[unit] = _Conversation(instance, scope)
 
     def _report(self, unit: str, talk: _Conversation, said: ManagedInput, reason: str = "") -> None:
         if self._open.get(unit) is talk:

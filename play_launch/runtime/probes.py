@@ -63,7 +63,8 @@ async def _probe_library(
     while group:
         first = group[0]
         finding = await probe_library(system, container, first)
-        is_about_all = finding is None or finding.is_about_library
+        # Another error may be that of this class alone.
+        is_about_all = finding is None or finding.loads or finding.signal != 0
         settled = [node for node in group if is_about_all or node.plugin == first.plugin]
         group = [node for node in group if node not in settled]
         for node in settled:

@@ -20,7 +20,7 @@ from play_launch.runtime.process_actor import ProcessActor, Tasks
 from play_launch.runtime.publisher import EventLog
 from play_launch.supervisor import inputs
 from play_launch.supervisor.conditions import awaited_dependencies, has_ended, pending_units
-from play_launch.supervisor.difference import NOTHING, Snapshot, events_between
+from play_launch.supervisor.difference import events_since
 from play_launch.supervisor.events import REPORTED_LOGGER
 from play_launch.supervisor.plan import StepOutcome
 from play_launch.supervisor.reducer import deadline, reduce
@@ -118,16 +118,16 @@ class System:
         return due is not None and due <= self._loop.time() and is_open
 
     def _process(self, said: Input) -> None:
-        before, now = Snapshot.of(self.world), self._loop.time()
+        now = self._loop.time()
         jitter = random.getrandbits(16) / (1 << 16)  # 16 bits: each is recorded
         if self._decisions is not None:
             self._decisions.add(now, said, jitter)
         effects = reduce(self.world, said, now, jitter)
-        self._is_overdue = isinstance(said, inputs.Time) and Snapshot.of(self.world) == before
+        self._is_overdue = isinstance(said, inputs.Time) and not any(self.world.before)
         events: list[RunEvent] = []
         try:
             stamp_ns = self.publisher.stamp_ns()
-            events += events_between(before, self.world, now=now, stamp_ns=stamp_ns)
+            events += events_since(self.world, now=now, stamp_ns=stamp_ns)
         except Exception:  # noqa: BLE001 - what was decided is carried out all the same
             _log.exception("what changed with %s could not be published", type(said).__name__)
         for event in events:
@@ -205,11 +205,7 @@ class System:
             case inputs.Probe():
                 self._container(effect.container).probe(effect.nodes)
             case inputs.Drive():
-                self._conversations.begin(effect.unit, effect.instance)
-            case inputs.Transit():
-                self._conversations.transit(effect.unit, effect.instance, effect.to)
-            case inputs.Release():
-                self._conversations.end(effect.unit)
+                self._conversations.drive(effect.unit, effect.instance, effect.to)
             case inputs.SetParameters():
                 self.applying.set_parameters(effect.step)
             case StepOutcome():
@@ -338,7 +334,7 @@ class System:
         """Run it to its end, see `play_launch.runtime.run`."""
         until = None if self.config.duration is None else self._loop.time() + self.config.duration
         now, stamp_ns = self._loop.time(), self.publisher.stamp_ns()
-        for event in events_between(NOTHING, self.world, now=now, stamp_ns=stamp_ns):
+        for event in events_since(self.world, now=now, stamp_ns=stamp_ns):
             self.publisher.publish(event)
         self.publisher.remember_view_before(self.stop_requests)
         try:
@@ -352,9 +348,7 @@ class System:
                 self._pending_at_end = self.pending
                 _log.info("stopping: %s", self.stop_requests.reason)
                 tasks.start_soon(self._hurry)
-                self.post(
-                    inputs.StopRequested(self.stop_requests.reason, self.stop_requests.signum)
-                )
+                self.post(inputs.StopRequested(self.stop_requests.reason))
                 await self.until(lambda: has_ended(self.world))
                 tasks.cancel_scope.cancel()
         finally:

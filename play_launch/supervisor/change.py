@@ -12,7 +12,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.config.model import ContainerConfig
-from play_launch.supervisor.conditions import find_unit, unit_state
+from play_launch.supervisor.conditions import unit_state
 from play_launch.supervisor.inputs import Raised, SetParameters
 from play_launch.supervisor.plan import Need, PlanAction, PlanKind, Result, StepOutcome
 from play_launch.supervisor.world import Goal, Node, Process, Stage
@@ -157,7 +157,7 @@ def _result(world: World, change: Change, each: OpenStep, now: float) -> str | N
 
 def _result_in(world: World, plan_step: Step) -> str | None:
     """The same, from what became of the unit that a step is about."""
-    unit, action = find_unit(world, plan_step.name), plan_step.action
+    unit, action = world.find(plan_step.name), plan_step.action
     is_stuck = isinstance(unit, Process) and unit.is_stuck
     if plan_step.kind is PlanKind.SESSION:
         return ""
@@ -191,7 +191,7 @@ def _begin(step: Reduction, change: Change, plan_step: Step) -> OpenStep:
         return opened
     match plan_step.action:
         case PlanAction.REMOVE:
-            unit = find_unit(world, plan_step.name)
+            unit = world.find(plan_step.name)
             if isinstance(unit, Process):
                 world.put(unit, is_removed=True, request_reason=_BECAUSE)
             elif unit is not None:
@@ -207,7 +207,7 @@ def _begin(step: Reduction, change: Change, plan_step: Step) -> OpenStep:
 
 
 def _adopt(world: World, change: Change, plan_step: Step) -> None:
-    unit, config = find_unit(world, plan_step.name), change.target.parts[plan_step.name]
+    unit, config = world.find(plan_step.name), change.target.parts[plan_step.name]
     if isinstance(unit, Node):
         world.put(unit, config=config, **_TRUSTED)
     elif unit is not None:
@@ -216,7 +216,7 @@ def _adopt(world: World, change: Change, plan_step: Step) -> None:
 
 def _replace(world: World, change: Change, plan_step: Step) -> None:
     """Have one run that is configured as in the target, anew if it runs."""
-    unit, config = find_unit(world, plan_step.name), change.target.parts[plan_step.name]
+    unit, config = world.find(plan_step.name), change.target.parts[plan_step.name]
     nodes = config.composable_nodes if isinstance(config, ContainerConfig) else ()
     recalled = {plan_step.name, *(str(node.key) for node in nodes)}
     world.dismissed -= recalled & change.recalls

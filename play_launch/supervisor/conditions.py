@@ -15,13 +15,13 @@ from msgspec.structs import replace
 
 from play_launch.config.dependency import Condition, Dependency, DependencyGraph, OnTimeout
 from play_launch.config.model import Autostart
-from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import ManagedState, NodeState
 from play_launch.supervisor.outcome import described
 from play_launch.supervisor.world import INACTIVE, Node, Phase, Process, Wait, is_wanted
 
 if TYPE_CHECKING:
     from play_launch.config.dependency import StartRule
+    from play_launch.config.model import ReplayConfig
     from play_launch.supervisor.reducer import Reduction
     from play_launch.supervisor.world import World
 
@@ -35,16 +35,10 @@ _GONE: Final = {
 }
 
 
-def unit_key(unit: Process | Node) -> str:
-    """Give the name of a process, or the text of the key of a node, as rules have it."""
-    return unit.name if isinstance(unit, Process) else str(unit.key)
-
-
 def rule_of(world: World, unit: Process | Node) -> StartRule | None:
     """Give the rule that holds the unit back; None: it waits for nothing."""
-    if unit.released_at is not None:
-        return None
-    return world.config.start_rules.get(unit_key(unit))
+    is_released = unit.released_at is not None
+    return None if is_released else world.config.start_rules.get(str(unit.key))
 
 
 def may_start(step: Reduction, unit: Process | Node) -> str | None:
@@ -85,7 +79,7 @@ def may_start(step: Reduction, unit: Process | Node) -> str | None:
         world.put(unit, wait=_reported(step, unit, after))
         return None
     if waived:
-        step.log(f"{unit_key(unit)} starts all the same: {'; '.join(waived)}")
+        step.log(f"{unit.key} starts all the same: {'; '.join(waived)}")
     world.put(unit, wait=None, released_at=now)
     return ""
 
@@ -94,8 +88,7 @@ def _reported(step: Reduction, unit: Process | Node, wait: Wait) -> Wait:
     """Warn of a unit that waits for long."""
     if unit.wait is None or step.now < wait.report_due:
         return wait
-    name = unit.name if isinstance(unit, Process) else unit.key.name
-    text = f"{name} has waited for {step.now - wait.since:.0f} s: it {wait.text}"
+    text = f"{unit.name} has waited for {step.now - wait.since:.0f} s: it {wait.text}"
     step.log(text, is_shown_otherwise=True)
     return replace(wait, report_due=step.now + step.world.limits.report_interval)
 
@@ -104,19 +97,12 @@ def _deadline(world: World, wait: Wait, dependency: Dependency) -> float | None:
     """When a condition is given up; None while its unit waits itself, or without a limit."""
     if dependency.timeout == float("inf"):
         return None
-    unit = find_unit(world, dependency.unit)
+    unit = world.find(dependency.unit)
     if unit is not None and unit.wait is not None:
         return None
     released = None if unit is None else unit.released_at
     since = wait.since if released is None else max(wait.since, released)
     return since + dependency.timeout
-
-
-def find_unit(world: World, name: str) -> Process | Node | None:
-    """Find a process by name, or a node by the text of its key."""
-    if name in world.processes:
-        return world.processes[name]
-    return world.nodes.get(NodeKey.parsed(name)) if ":/" in name else None
 
 
 def condition_state(world: World, dependency: Dependency) -> str | None:
@@ -130,7 +116,7 @@ def condition_state(world: World, dependency: Dependency) -> str | None:
             return ""
         if goal.state is ManagedState.FAILED:
             return goal.reason or "it failed"
-    unit = find_unit(world, name)
+    unit = world.find(name)
     match unit:
         case None:
             return "it is no longer in the configuration"
@@ -142,7 +128,9 @@ def condition_state(world: World, dependency: Dependency) -> str | None:
                 return _of_process(world, unit, condition)
             if condition is Condition.LOADED and unit.container is not None:
                 return _of_all_nodes(world, unit)
-            return _of_output(world, unit)
+            if not unit.is_at_rest:
+                return None  # it may do it yet, and its last lines are still to be read
+            return "it ended" if (state := _of_process(world, unit)) == "" else state
 
 
 def _of_process(
@@ -189,32 +177,19 @@ def _of_all_nodes(world: World, container: Process) -> str | None:
     return result
 
 
-def _of_output(world: World, process: Process) -> str | None:
-    """Evaluate what a process does while it runs, and has not done: a line, a state."""
-    if not process.is_at_rest:
-        return None  # its last lines are still to be read
-    return "it ended" if (state := _of_process(world, process)) == "" else state
-
-
 def awaited_dependencies(world: World) -> tuple[Dependency, ...]:
     """Give the conditions of all units that wait now, met or not, each once."""
-    keys = sorted(world.waiting, key=world.places.__getitem__)
-    units = [world.processes[key] if isinstance(key, str) else world.nodes[key] for key in keys]
-    waiting = [unit for unit in units if unit.wait is not None]
-    found = [
-        dependency
-        for unit in waiting
-        if (rule := rule_of(world, unit)) is not None
-        for dependency in rule.dependencies
-    ]
-    return tuple(dict.fromkeys(found))
+    found: dict[Dependency, None] = {}
+    for key in sorted(world.waiting, key=world.places.__getitem__):
+        unit = world.find(key)
+        if unit is not None and unit.wait is not None and (rule := rule_of(world, unit)):
+            found |= dict.fromkeys(rule.dependencies)
+    return tuple(found)
 
 
 def stopped_before(world: World) -> dict[str, frozenset[str]]:
     """Name for each process those that are stopped before it: they depend on it."""
-    units: dict[str, tuple[str, ...]] = {
-        name: tuple(str(node.key) for node in world.nodes_of(name)) for name in world.processes
-    }
+    units = {name: tuple(map(str, world.keys.get(name, ()))) for name in world.processes}
     return DependencyGraph(world.config.start_rules, units).stopped_after()
 
 
@@ -223,7 +198,7 @@ _GOAL_REACHED: Final = frozenset({ManagedState.ACTIVE, ManagedState.FINALIZED, M
 
 def has_arrived(world: World, unit: Process | Node) -> bool:
     """Whether a unit is up, or failed for good."""
-    key = unit_key(unit)
+    key = str(unit.key)
     if key in world.arrived:
         return True
     state = _of_process(world, unit) if isinstance(unit, Process) else _of_node(world, unit)
@@ -236,17 +211,32 @@ def has_arrived(world: World, unit: Process | Node) -> bool:
 
 def pending_units(world: World) -> tuple[str, ...]:
     """Name the units that have neither been up nor failed for good; dismissed ones excluded."""
-    found = []
-    for process in world.processes.values():
-        if process.name in world.dismissed:
-            continue
-        units: list[Process | Node] = [process, *world.nodes_of(process.name)]
-        found += [
-            unit_key(unit)
-            for unit in units
-            if unit_key(unit) not in world.dismissed and not has_arrived(world, unit)
-        ]
-    return tuple(found)
+    units = [unit for key in world.places if (unit := world.find(key)) is not None]
+    return tuple(
+        str(unit.key)
+        for unit in units
+        if world.dismissed.isdisjoint({str(unit.key), unit.member}) and not has_arrived(world, unit)
+    )
+
+
+def absent_units(world: World, config: ReplayConfig) -> dict[str, str]:
+    """Name what is declared, does not exist and is not going to be started, with the reason.
+
+    A process that exited with status 0 is named only if an operator has stopped it, the nodes of a
+    container that does not run are not, as they are loaded when it is started.
+    """
+    found: dict[str, str] = {}
+    for name in config.parts:
+        reason: str | None = "it was asked to end"
+        match world.find(name):
+            case Node(is_removed=False) as node:
+                reason = None if node.key.container in found else _of_node(world, node)
+            case Process(is_removed=False, next_config=None) as process:
+                is_dismissed = name in world.dismissed
+                reason = _of_process(world, process) or ("it was stopped" if is_dismissed else "")
+        if reason:
+            found[name] = reason
+    return found
 
 
 def nothing_is_left(world: World) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import asdict, replace
 
@@ -21,12 +21,11 @@ from play_launch.supervisor.events import (
     Withdrawn,
 )
 from play_launch.supervisor.inputs import ProbeResult
-from play_launch.supervisor.world import STATE_OF_PHASE, Phase
+from play_launch.supervisor.world import STATE_OF_PHASE, Before, Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
-    from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.events import RunEvent
     from play_launch.supervisor.world import Goal, Node, Process, World
 
@@ -36,47 +35,24 @@ _TIMED: Final = frozenset(
 """States that are reported with the time since the load was sent."""
 
 
-class Snapshot(NamedTuple):
-    """The units of a world at one moment."""
-
-    processes: Mapping[str, Process]
-    nodes: Mapping[NodeKey, Node]
-    goals: Mapping[str, Goal]
-
-    @classmethod
-    def of(cls, world: World) -> Snapshot:
-        return cls(dict(world.processes), dict(world.nodes), dict(world.goals))
-
-
-NOTHING: Final = Snapshot({}, {}, {})
-
-
-def events_between(
-    before: Snapshot, world: World, *, now: float, stamp_ns: int
-) -> Iterator[RunEvent]:
-    """Give the events that lead from one world to the next, in the order of their publication.
-
-    The changes of the world since the last call are those between the two.
-    """
-    changed, world.changed = world.changed, set()
-    # A goal has no place of its own.
-    ordered = sorted(changed, key=lambda key: (world.places.get(key, -1), str(key)))
-    names = [key for key in ordered if isinstance(key, str)]
+def events_since(world: World, *, now: float, stamp_ns: int) -> Iterator[RunEvent]:
+    """Give the events of what has changed since the last call, in the order of publication."""
+    before, world.before = world.before, Before({}, {}, {})
     processes: list[tuple[Process | None, Process]] = []
-    for name in names:
-        was, process = before.processes.get(name), world.processes.get(name)
+    for name in sorted(before.processes, key=world.places.__getitem__):
+        was, process = before.processes[name], world.processes.get(name)
         if was is not None and (process is None or _kind(was) is not _kind(process)):
             yield Withdrawn(stamp_ns=stamp_ns, kind=_kind(was), key=name)
             was = None
-        if process is not None and process is not was:
+        if process is not None:
             processes.append((was, process))
             yield from _process(was, process, stamp_ns)
     requested = []
-    for key in [key for key in ordered if not isinstance(key, str)]:
-        old, node = before.nodes.get(key), world.nodes.get(key)
+    for key in sorted(before.nodes, key=world.places.__getitem__):
+        old, node = before.nodes[key], world.nodes.get(key)
         if node is not None and node.state is NodeState.REQUESTED:
             requested.append(node)
-        elif node is not None and node is not old:
+        elif node is not None:
             yield from _node(old, node, now, stamp_ns)
         elif node is None and old is not None and key.container in world.processes:
             # A container that is removed takes its nodes along.
@@ -87,9 +63,9 @@ def events_between(
     for was, process in processes:
         yield from _after_nodes(was, process, stamp_ns)
     for node in requested:  # their causes are published first
-        yield from _node(before.nodes.get(node.key), node, now, stamp_ns)
-    for name in names:
-        yield from _goal_events(before.goals.get(name), world.goals.get(name), stamp_ns)
+        yield from _node(before.nodes[node.key], node, now, stamp_ns)
+    for name in sorted(before.goals):
+        yield from _goal_events(before.goals[name], world.goals.get(name), stamp_ns)
 
 
 def _kind(process: Process) -> SubjectKind:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
@@ -440,10 +440,3 @@ def fields_of(event: type[object]) -> tuple[str, ...]:
 
 REPORTED_LOGGER: Final = "play_launch.reported"
 """Logger for what an event reports as well: recorded, but shown once only."""
-
-
-class EventSink(Protocol):
-    """Takes events; never blocks. Call it from the loop's thread unless a sink says otherwise."""
-
-    def publish(self, event: RunEvent) -> None:
-        """Take one event."""

@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.model import Autostart
-from play_launch.supervisor.conditions import find_unit
 from play_launch.supervisor.events import ManagedState, NodeState
-from play_launch.supervisor.inputs import Drive, Log, ManagedInput, Release, Transit
-from play_launch.supervisor.world import Node, Phase, Process
+from play_launch.supervisor.inputs import Drive, Log, ManagedInput
+from play_launch.supervisor.world import Node, Process
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -40,6 +39,8 @@ _WAITING: Final[_Answers] = {
     Said.REFUSED: State.FAILED,
     Said.OVERDUE: State.FAILED,
 }
+
+_TALKED_ABOUT: Final = {State.ABSENT, State.ASKED, State.CONFIGURING, State.ACTIVATING}
 
 TABLE: Final[Mapping[ManagedState, _Answers]] = {
     State.ABSENT: {Said.UP: State.ASKED},
@@ -86,33 +87,25 @@ def next_state(state: ManagedState, said: ManagedInput, goal: Autostart | None) 
 def settle(step: Reduction, name: str) -> None:
     """Begin a conversation with each new instance of a managed node, and end the old one."""
     world = step.world
-    goal = world.goals[name]
-    config = world.config.managed.get(name)
-    instance = _instance(world, name) if config is not None else 0
-    is_new = config is not None and config != goal.config
-    if config is not None and goal.instance == instance and not is_new:
-        return
+    goal, config = world.goals[name], world.config.managed.get(name)
+    instance = 0 if config is None else _instance(world, name)
     if config is not None:
-        world.put(goal, config=config)
-    if goal.instance and not instance:
-        world.put(world.goals[name], instance=0)
-        _apply(step, name, ManagedInput.GONE)
-    elif instance:
-        world.put(world.goals[name], instance=instance)
-        _apply(step, name, ManagedInput.UP)
+        if (config, instance) == (goal.config, goal.instance):
+            return
+        goal = world.put(goal, config=config)
+    if instance or goal.instance:
+        world.put(goal, instance=instance)
+        _apply(step, name, ManagedInput.UP if instance else ManagedInput.GONE)
     if config is None:
-        del world.goals[name]
+        world.forget(world.goals[name])
 
 
 def _instance(world: World, name: str) -> int:
     """Number the start or load that exists now; 0: none does."""
-    match find_unit(world, name):
-        case Process() as process:
-            exists = process.phase is Phase.RUNNING and process.exit is None
-            return process.attempt if exists else 0
-        case Node() as node:
-            return node.attempt if node.state is NodeState.LOADED else 0
-    return 0
+    unit = world.find(name)
+    is_loaded = isinstance(unit, Node) and unit.state is NodeState.LOADED
+    exists = is_loaded or (isinstance(unit, Process) and unit.runs)
+    return unit.attempt if unit is not None and exists else 0
 
 
 def reported(step: Reduction, said: GoalReported) -> None:
@@ -128,15 +121,8 @@ def _apply(step: Reduction, name: str, said: ManagedInput, reason: str = "") -> 
     step.world.put(goal, state=state, reason=failure)
     if state is goal.state and said is not ManagedInput.UP:
         return
-    match state:
-        case ManagedState.ABSENT:
-            step.effects.append(Release(name))
-        case ManagedState.ASKED:
-            step.effects.append(Drive(name, goal.instance))
-        case ManagedState.CONFIGURING | ManagedState.ACTIVATING:
-            step.effects.append(Transit(name, goal.instance, state))
-        case ManagedState.FAILED:
-            text = f"{goal.config.name} does not {goal.config.autostart}: {reason}"
-            step.effects.append(Log(text, is_error=True, is_shown_otherwise=True))
-        case _:
-            pass
+    if state in _TALKED_ABOUT:
+        step.effects.append(Drive(name, goal.instance, state))
+    elif state is ManagedState.FAILED:
+        text = f"{goal.config.name} does not {goal.config.autostart}: {reason}"
+        step.effects.append(Log(text, is_error=True, is_shown_otherwise=True))

@@ -152,15 +152,6 @@ class ProbeResult(Struct, frozen=True, kw_only=True):
     backtrace: tuple[str, ...] = ()
     """Innermost first."""
 
-    @property
-    def blamed(self) -> str:
-        return blamed_frame(self.backtrace)
-
-    @property
-    def is_about_library(self) -> bool:
-        """Whether it holds for every component of the library, not only for the one asked for."""
-        return self.loads or self.signal != 0
-
 
 def blamed_frame(backtrace: Sequence[str]) -> str:
     """Choose the frame to show where there is room for one: the caller of abort(), not abort()."""
@@ -191,10 +182,9 @@ class GoalReported(_Input, frozen=True):
 
 
 class StopRequested(_Input, frozen=True):
-    """The system is to stop; a second signal skips to the next stop signal."""
+    """The system is to stop."""
 
     reason: str = ""
-    signum: int | None = None
     is_hurried: bool = False
     """Whether each stop skips to its next signal."""
 
@@ -232,27 +222,10 @@ class ParametersSet(_Input, frozen=True):
     refusal: str
 
 
-Input: TypeAlias = (
-    Time
-    | Started
-    | NotStarted
-    | Greeted
-    | Faulty
-    | Exited
-    | CleanedUp
-    | Unkillable
-    | Failed
-    | NodeReported
-    | HealthReported
-    | Probed
-    | Found
-    | GoalReported
-    | StopRequested
-    | StartRequested
-    | EndRequested
-    | ChangeRequested
-    | ParametersSet
-)
+_OfProcess: TypeAlias = Started | NotStarted | Greeted | Faulty | Exited | CleanedUp | Unkillable
+_OfNode: TypeAlias = NodeReported | HealthReported | Probed | GoalReported
+_Asked: TypeAlias = StopRequested | StartRequested | EndRequested | ChangeRequested | ParametersSet
+Input: TypeAlias = Time | Failed | Found | _OfProcess | _OfNode | _Asked
 
 
 class Origin(_Input, frozen=True):
@@ -326,25 +299,13 @@ class Probe(Struct, frozen=True):
 
 
 class Drive(Struct, frozen=True):
-    """Begin to talk to a managed node, first about its state."""
-
-    unit: str
-    instance: int
-
-
-class Transit(Struct, frozen=True):
-    """Request a transition of a managed node."""
+    """Talk to a managed node."""
 
     unit: str
     instance: int
     to: ManagedState
-    """`CONFIGURING` or `ACTIVATING`."""
-
-
-class Release(Struct, frozen=True):
-    """End the conversation with a managed node."""
-
-    unit: str
+    """`ASKED`: begin with its state; `CONFIGURING`, `ACTIVATING`: request the transition;
+    `ABSENT`: end the conversation."""
 
 
 class SetParameters(Struct, frozen=True):
@@ -375,20 +336,5 @@ class Raised(Struct, frozen=True):
     error: Exception
 
 
-Effect: TypeAlias = (
-    Spawn
-    | Log
-    | Raised
-    | End
-    | Kill
-    | Stop
-    | Load
-    | Unload
-    | Query
-    | Probe
-    | Drive
-    | Transit
-    | Release
-    | SetParameters
-    | StepOutcome
-)
+_ToProcess: TypeAlias = Spawn | Kill | Stop | Load | Unload | Query | Probe
+Effect: TypeAlias = _ToProcess | Drive | SetParameters | StepOutcome | End | Log | Raised

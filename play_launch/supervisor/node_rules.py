@@ -28,33 +28,34 @@ if TYPE_CHECKING:
     from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.inputs import HealthReported, NodeReported, ProbeResult
     from play_launch.supervisor.reducer import Reduction
-    from play_launch.supervisor.world import Node, Process, World
+    from play_launch.supervisor.world import Node, Process
 
 _REFUSABLE: Final = frozenset({NodeState.PENDING, NodeState.LOST, NodeState.LOAD_FAILED})
 
 
-def under_way(world: World, container: str) -> tuple[NodeKey, ...]:
-    return tuple(node.key for node in world.nodes_of(container) if node.state in LOADING)
-
-
 def reported(step: Reduction, said: NodeReported) -> None:
-    if (node := _meant(step.world, said)) is not None:
-        _apply(step, node, said.said, said)
-
-
-def _meant(world: World, said: NodeReported) -> Node | None:
-    """Find the node whose latest load a report is about."""
-    for node in world.nodes_of(said.unit):
-        is_same = said.unique_id == node.unique_id
+    """Apply a report to the node whose latest load it is about."""
+    for node in step.world.nodes_of(said.unit):
+        is_same = node.unique_id == said.unique_id
         if said.said is NodeFact.UNLOAD_REJECTED:
-            if said.unique_id and is_same:
-                return node
-        elif said.attempt and node.attempt == said.attempt:
-            return node if is_same or not said.unique_id or not node.unique_id else None
-    return None
+            is_meant = said.unique_id and is_same
+        else:
+            may_be = is_same or not said.unique_id or not node.unique_id
+            is_meant = said.attempt and node.attempt == said.attempt and may_be
+        if is_meant:
+            _apply(step, node, said.said, said)
+            return
 
 
-def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | None = None) -> None:
+def _apply(
+    step: Reduction,
+    before: Node,
+    fact: NodeFact,
+    said: NodeReported | None = None,
+    *,
+    reason: str = "",
+    outcome: Outcome = Outcome(),  # noqa: B008 - immutable
+) -> None:
     """Apply a fact to a node by the table; ``said`` is the report that it comes from, if any."""
     world, now = step.world, step.now
     state, actions = next_state(before, fact)
@@ -63,9 +64,10 @@ def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | N
     if said is not None:
         node = _with_report(node, said, has_changed=has_changed)
     elif has_changed:
-        outcome = node.outcome if fact is NodeFact.GIVEN_UP else Outcome()
-        node = replace(node, reason="", outcome=outcome, is_confirmed=False)
+        node = replace(node, reason=reason, outcome=outcome, is_confirmed=False)
     if has_changed and state is NodeState.LOADED:
+        other = node.full_node_name
+        is_other = node.config.name and other not in {"", node.name}
         node = replace(
             node,
             loaded_at=now,
@@ -73,7 +75,8 @@ def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | N
             died_constructing="",
             has_renewed=False,
             is_confirmed=fact is NodeFact.STATUS_LOADED,
-            reason=node.reason or _other_name(node),
+            # A component may ignore the name that it is given.
+            reason=node.reason or (f"it calls itself {other}" if is_other else ""),
         )
     if said is not None and said.signal and before.loaded_at is None:
         node = replace(node, died_constructing=node.reason)
@@ -82,12 +85,13 @@ def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | N
     is_slow = fact is NodeFact.STATUS_CONSTRUCTING and before.state in AWAITED
     if is_slow:
         node = replace(node, reports=node.reports + 1)
-    if fact is NodeFact.UNLOADED and has_changed and not node.reason and _is_unasked(step, before):
+    if fact is NodeFact.UNLOADED and has_changed and not (node.reason or _is_asked(step, before)):
         node = replace(node, reason="not at the supervisor's request")
-    node = replace(node, query_at=_query_at(step, node, fact))
-    world.put(node)
+    limit = world.limits.report_interval if is_slow else step.container_of(node).loading_timeout
+    world.put(node, query_at=now + limit if state in AWAITED else None)
     if before.state in LOADING and state not in LOADING and fact is not NodeFact.CONTAINER_LOST:
-        quarantine.survived(world, node)
+        # The container has survived it.
+        world.put(step.node(node.key), stage=Stage.TRUSTED, deaths=0)
     if has_changed and state is NodeState.LOAD_FAILED and _renews(step, node, said):
         return
     for action in actions:
@@ -96,7 +100,7 @@ def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | N
             case NodeAction.LOAD:
                 _load(step, replace(node, resent=False, reason=""))
             case NodeAction.LOAD_AGAIN:
-                step.log(f"{node.key.name}: {node.key.container} does not know the load, sent anew")
+                step.log(f"{node.name}: {node.key.container} does not know the load, sent anew")
                 reason = "the container did not know the load; sent anew"
                 _load(step, replace(node, resent=True, reason=reason))
             case NodeAction.QUERY:
@@ -108,16 +112,15 @@ def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | N
                 _follow_crash(step, node)
             case _:
                 assert_never(action)
-    if is_slow and node.is_reload:
-        _reload_hangs(step, node)
+    container = step.process(node.key.container)
+    if is_slow and node.is_reload and container.lost_locks:
+        reason = f"{node.name} is not loaded again: {node.reason}"
+        process_rules.poisoned(step, container, f"a dead node may have left a lock: {reason}")
 
 
 def _crashed(step: Reduction, before: Node, node: Node, said: NodeReported | None) -> Node:
     """Count a crash; a node that was killed at the end of a stop has not crashed."""
-    container = step.process(node.key.container)
-    is_stopping = container.stopped or container.phase is Phase.STOPPING
-    is_requested = is_stopping or before.state is NodeState.UNLOADING
-    if is_requested and said is not None and said.signal == signal.SIGKILL:
+    if _is_asked(step, before) and said is not None and said.signal == signal.SIGKILL:
         node = replace(node, outcome=Outcome(Cause.STOP_TIMEOUT))
     is_crash = node.outcome.cause is not Cause.STOP_TIMEOUT
     return replace(node, crashes=node.crashes + is_crash, crashed_pid=node.pid)
@@ -140,26 +143,11 @@ def _with_report(node: Node, said: NodeReported, *, has_changed: bool) -> Node:
     return replace(node, **values)
 
 
-def _other_name(node: Node) -> str:
-    """Describe that a component ignored the name that it was given; empty if it did not."""
-    is_other = node.config.name and node.full_node_name not in {"", node.key.name}
-    return f"it calls itself {node.full_node_name}" if is_other else ""
-
-
-def _is_unasked(step: Reduction, node: Node) -> bool:
-    container = step.process(node.key.container)
-    runs = container.phase is not Phase.STOPPING and not container.stopped
-    return runs and node.state is not NodeState.UNLOADING
-
-
-def _query_at(step: Reduction, node: Node, fact: NodeFact) -> float | None:
-    if node.state not in AWAITED:
-        return None
-    if fact is NodeFact.STATUS_CONSTRUCTING:
-        return step.now + step.world.limits.report_interval
-    config = step.process(node.key.container).container
-    assert config is not None
-    return step.now + config.loading_timeout
+def _is_asked(step: Reduction, before: Node) -> bool:
+    """Whether the end of a node was requested, alone or with its container."""
+    container = step.process(before.key.container)
+    is_stopping = container.stopped or container.phase is Phase.STOPPING
+    return is_stopping or before.state is NodeState.UNLOADING
 
 
 def _renews(step: Reduction, node: Node, said: NodeReported | None) -> bool:
@@ -168,16 +156,14 @@ def _renews(step: Reduction, node: Node, said: NodeReported | None) -> bool:
     What a constructor that died had opened, such as a port, stays open in the container. One that
     dies again is not helped by that, and its neighbours are left alone.
     """
-    container = step.process(node.key.container)
-    config = container.container
-    assert config is not None
+    container, config = step.process(node.key.container), step.container_of(node)
     shares = container.hello is not None and container.hello.mechanism == "shared_memory"
     helps = shares and not config.attach and config.restart.max_restarts > 0
     has_died = bool(node.died_constructing) and not node.has_renewed
-    if (said and said.signal) or not has_died or not helps or not container.takes_loads:
+    if (said and said.signal) or not has_died or not helps or not container.runs:
         return False
     died = f"its constructor died in this container before ({node.died_constructing})"
-    reason = f"{node.key.name} cannot be loaded, and {died}: what it had opened stays open"
+    reason = f"{node.name} cannot be loaded, and {died}: what it had opened stays open"
     reason = f"{reason}: {node.reason}"
     step.log(f"{container.name} is started anew: {reason}", is_shown_otherwise=True)
     outcome = node.outcome.followed_by(Sequel.CONTAINER_RESTART)
@@ -187,16 +173,9 @@ def _renews(step: Reduction, node: Node, said: NodeReported | None) -> bool:
     return True
 
 
-def _reload_hangs(step: Reduction, node: Node) -> None:
-    container = step.process(node.key.container)
-    if container.lost_locks:
-        reason = f"{node.key.name} is not loaded again: {node.reason}"
-        process_rules.poisoned(step, container, f"a dead node may have left a lock: {reason}")
-
-
 def _load(step: Reduction, node: Node) -> None:
-    container, attempt = step.process(node.key.container), step.world.next_load()
-    assert container.container is not None
+    step.world.loads_made += 1
+    container, attempt = step.process(node.key.container), step.world.loads_made
     step.world.put(
         node,
         attempt=attempt,
@@ -204,7 +183,7 @@ def _load(step: Reduction, node: Node) -> None:
         **dict.fromkeys(("unique_id", "pid", "start_time"), 0),
         **dict.fromkeys(("loaded_at", "next_at", "wait")),
         sent_at=step.now,
-        query_at=step.now + container.container.loading_timeout,
+        query_at=step.now + step.container_of(node).loading_timeout,
         gives_up="",
         reloads=node.reloads + (node.is_reload and not node.resent),
     )
@@ -215,7 +194,7 @@ def _follow_crash(step: Reduction, node: Node) -> None:
     """Decide what follows from a crash or a failed reload: at once after a healthy life."""
     container, world, now = step.process(node.key.container), step.world, step.now
     is_first_load = node.state is NodeState.LOAD_FAILED and not node.is_reload
-    if is_first_load or not container.takes_loads or not is_wanted(world, node):
+    if is_first_load or not container.runs or not is_wanted(world, node):
         return
     lived = 0.0 if node.loaded_at is None else now - node.loaded_at
     reason, outcome = node.reason, node.outcome
@@ -223,14 +202,14 @@ def _follow_crash(step: Reduction, node: Node) -> None:
     match node.config.on_crash:
         case OnCrash.RELOAD:
             limits, chance = replace(node.config.restart, first_at_once=True), step.chance
-            history, verdict = decide(node.history, limits, now=now, lived=lived, jitter=chance)
+            history, verdict = decide(node.restarts, limits, now=now, lived=lived, jitter=chance)
             if isinstance(verdict, str):
-                _give_up(step, replace(node, history=history), Sequel.GAVE_UP, verdict)
+                _give_up(step, replace(node, restarts=history), Sequel.GAVE_UP, verdict)
                 return
             when = f"in {verdict:.2f} s" if verdict else "at once"
             world.put(
                 node,
-                history=history,
+                restarts=history,
                 reason=f"{reason}; it is loaded again {when}",
                 next_at=now + verdict,
                 outcome=outcome.followed_by(Sequel.RELOAD, verdict),
@@ -239,12 +218,12 @@ def _follow_crash(step: Reduction, node: Node) -> None:
             world.put(node, reason=f"{reason}; it stays away")
         case OnCrash.STOP_CONTAINER:
             _give_up(step, node, Sequel.CONTAINER_STOP, "its container is stopped")
-            why = f"{node.key.name} crashed: {reason}"
+            why = f"{node.name} crashed: {reason}"
             process_rules.apply(step, container.name, Fact.STOP, why)
         case OnCrash.SHUTDOWN:
             after = outcome.followed_by(Sequel.SHUTDOWN)
             world.put(node, reason=f"{reason}; everything is stopped", outcome=after)
-            process_rules.request_stop(step, f"{node.key.name} crashed: {reason}")
+            process_rules.request_stop(step, f"{node.name} crashed: {reason}")
 
 
 def _give_up(step: Reduction, node: Node, sequel: Sequel, why: str) -> None:
@@ -259,9 +238,8 @@ def due(step: Reduction, key: NodeKey) -> None:
     if node.next_at is not None and step.now >= node.next_at:
         now = step.world.put(node, next_at=None, gives_up="")
         if node.gives_up:
-            _apply(step, now, NodeFact.GIVEN_UP)
-            step.world.put(step.node(key), reason=node.gives_up)
-        elif step.process(key.container).takes_loads:
+            _apply(step, now, NodeFact.GIVEN_UP, reason=node.gives_up, outcome=node.outcome)
+        elif step.process(key.container).runs:
             _apply(step, replace(now, is_reload=True), NodeFact.LOAD)
     node = step.node(key)
     if node.query_at is not None and step.now >= node.query_at:
@@ -281,14 +259,12 @@ def container_stops(step: Reduction, container: Process) -> None:
 
 
 def container_lost(step: Reduction, container: Process, reason: str) -> None:
+    outcome = Outcome(Cause.CONTAINER_EXITED, Sequel.NONE, 0, container.name)
     for before in step.world.nodes_of(container.name):
         values = {"gives_up": "", "died_constructing": "", "is_silent": False}
         node = step.world.put(before, next_at=None, **values)
-        _apply(step, node, NodeFact.CONTAINER_LOST)
-        after = step.node(node.key)
-        if after.state is not before.state:
-            outcome = Outcome(Cause.CONTAINER_EXITED, Sequel.NONE, 0, container.name)
-            step.world.put(after, reason=f"its container: {reason}", outcome=outcome)
+        why = f"its container: {reason}"
+        _apply(step, node, NodeFact.CONTAINER_LOST, reason=why, outcome=outcome)
 
 
 def refuse(step: Reduction, node: Node, reason: str, finding: ProbeResult | None = None) -> None:
@@ -296,11 +272,11 @@ def refuse(step: Reduction, node: Node, reason: str, finding: ProbeResult | None
     if node.state not in _REFUSABLE:
         return
     container = step.process(node.key.container)
-    into = container.attempt if container.takes_loads else node.loaded_into
-    values = {"finding": finding, "wait": None, "loaded_into": into}
-    node = step.world.put(node, refusals=node.refusals + 1, **values)
-    _apply(step, node, NodeFact.REFUSED)
-    step.world.put(step.node(node.key), reason=reason, outcome=Outcome(Cause.REFUSED))
+    into = container.attempt if container.runs else node.loaded_into
+    values = {"finding": finding, "wait": None, "loaded_into": into, "reason": reason}
+    outcome, refusals = Outcome(Cause.REFUSED), node.refusals + 1
+    node = step.world.put(node, refusals=refusals, outcome=outcome, **values)
+    _apply(step, node, NodeFact.REFUSED, reason=reason, outcome=outcome)
 
 
 def health(step: Reduction, said: HealthReported) -> None:
@@ -323,9 +299,8 @@ def health(step: Reduction, said: HealthReported) -> None:
         for node in world.nodes_of(said.unit):
             slow = node.is_reload and step.now - node.sent_at > limit + 3 * node.took
             if slow and node.state in LOADING:
-                reason = f"{node.key.name} is not loaded again"
-                reason = f"{reason}, and cleaning up after a dead node failed"
-                process_rules.poisoned(step, container, reason)
+                why = "is not loaded again, and cleaning up after a dead node failed"
+                process_rules.poisoned(step, container, f"{node.name} {why}")
                 break
     for node in world.nodes_of(said.unit):
         _silence(step, node, said.silences.get(node.attempt, 0.0))
@@ -340,7 +315,7 @@ def _silence(step: Reduction, node: Node, seconds: float) -> None:
     reason = ""
     if is_silent:
         reason = f"its executor has been blocked in a callback for {seconds:.0f} s"
-        step.log(f"{node.key.name}: {reason}")
+        step.log(f"{node.name}: {reason}")
     reports = node.reports + is_loaded
     step.world.put(node, is_silent=is_silent, reason=reason, reports=reports)
 
@@ -355,18 +330,26 @@ def settle(step: Reduction, key: NodeKey) -> None:
         _leave(step, node)
         return
     container = step.process(key.container)
-    if node.wait is not None and not container.takes_loads:
+    if node.wait is not None and not container.runs:
         node = world.put(node, wait=None)
     if node.is_requested:
         if node.state in IDLE:
-            if container.takes_loads:
-                _load_requested(step, node)
+            if container.runs:
+                values = {"is_requested": False, "is_reload": False, "released_at": step.now}
+                history = RestartHistory(total=node.restarts.total)
+                _apply(step, replace(node, restarts=history, **values), NodeFact.LOAD)
         elif node.state is not NodeState.UNLOADING:
             _apply(step, node, NodeFact.LEAVE)
-    elif not container.takes_loads:
-        pass
-    elif node.loaded_into != container.attempt and node.state in IDLE - {NodeState.GAVE_UP}:
-        _load_with_container(step, node)
+    elif (
+        container.runs
+        and node.loaded_into != container.attempt
+        and node.state in IDLE - {NodeState.GAVE_UP}
+    ):
+        failure = may_start(step, node)
+        if failure:
+            refuse(step, step.node(key), failure)
+        elif failure == "" and quarantine.may_load(world, step.node(key), step.now):
+            _apply(step, replace(step.node(key), is_reload=False), NodeFact.LOAD)
 
 
 def _leave(step: Reduction, node: Node) -> None:
@@ -377,23 +360,3 @@ def _leave(step: Reduction, node: Node) -> None:
         node = step.node(node.key)
     if node.is_removed and node.state in IDLE:
         step.world.forget(node)
-
-
-def _load_requested(step: Reduction, node: Node) -> None:
-    anew = replace(
-        node,
-        is_requested=False,
-        history=RestartHistory(total=node.history.total),
-        is_reload=False,
-        released_at=step.now,
-    )
-    _apply(step, anew, NodeFact.LOAD)
-
-
-def _load_with_container(step: Reduction, node: Node) -> None:
-    """Load a node into a new process of its container, if its conditions are met."""
-    failure, node = may_start(step, node), step.node(node.key)
-    if failure:
-        refuse(step, node, failure)
-    elif failure == "" and quarantine.may_load(step.world, node, step.now):
-        _apply(step, replace(node, is_reload=False), NodeFact.LOAD)

@@ -144,17 +144,13 @@ def decide(
         times = f"restart limit reached ({len(recent)} in {bounds.within:g} s)"
         reason = times if recent else "restarting is switched off"
         return replace(history, recent=recent, streak=streak), reason
-    delay = _pause(bounds, streak) * (0.5 + 0.5 * jitter)
+    if bounds.first_at_once and streak == 0:
+        full = 0.0
+    else:
+        exponent = min(streak - bounds.first_at_once, _EXPONENT_LIMIT)
+        full = min(bounds.maximum, bounds.initial * 2.0**exponent)
+    delay = full * (0.5 + 0.5 * jitter)
     if counts:
         recent = (*recent, now + delay)
     after = RestartHistory(recent=recent, streak=streak + 1, total=history.total + 1)
     return after, delay
-
-
-def _pause(bounds: RestartLimits, streak: int) -> float:
-    """Give the full pause after that many restarts without a healthy life in between."""
-    if bounds.first_at_once:
-        if streak == 0:
-            return 0.0
-        streak -= 1
-    return min(bounds.maximum, bounds.initial * 2.0 ** min(streak, _EXPONENT_LIMIT))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from msgspec.structs import replace
-
 from play_launch.config.model import ContainerConfig, OnExit
 from play_launch.supervisor import inputs, node_rules, quarantine
 from play_launch.supervisor.conditions import may_start
@@ -20,18 +18,12 @@ from play_launch.supervisor.outcome import (
     decide,
     outcome_of,
 )
-from play_launch.supervisor.transitions import PROCESS_TABLE, Fact
-from play_launch.supervisor.world import (
-    INACTIVE,
-    Node,
-    Phase,
-    Process,
-    is_ours,
-    is_wanted,
-)
+from play_launch.supervisor.transitions import EXITS, LOADING, PROCESS_TABLE, Fact
+from play_launch.supervisor.world import INACTIVE, Node, Phase, Process, is_ours, is_wanted
 
 if TYPE_CHECKING:
     from play_launch.supervisor.reducer import Reduction
+    from play_launch.supervisor.world import World
 
 _STUCK: Final = "does not die, not even of SIGKILL"
 _NEVER_RAN: Final = frozenset({126, 127})
@@ -39,7 +31,6 @@ _OUTCOMES: Final = {
     Fact.STOP: Outcome(Cause.STOPPED),
     Fact.STUCK: Outcome(Cause.STOP_TIMEOUT, Sequel.GAVE_UP),
     Fact.FAILED: Outcome(sequel=Sequel.GAVE_UP),
-    Fact.IMPOSSIBLE: Outcome(Cause.REFUSED, Sequel.GAVE_UP),
 }
 _ENDED: Final = frozenset({*INACTIVE, Phase.BACKOFF})
 _ACTIVE: Final = frozenset({Phase.SPAWNING, Phase.STARTING, Phase.RUNNING, Phase.KILLING})
@@ -60,12 +51,14 @@ def apply(
     if phase is not before.phase:
         outcome = outcome or _OUTCOMES.get(fact, Outcome())
         after = step.world.put(before, phase=phase, reason=reason, due=due, outcome=outcome)
-        if phase is Phase.GAVE_UP and before.phase is not Phase.STOPPING:
-            _end_all_with(step, before)
+        ends = fact in EXITS or phase is Phase.GAVE_UP
+        if ends and before.phase is not Phase.STOPPING and before.config.on_exit is OnExit.SHUTDOWN:
+            request_stop(step, f"{name} has ended")
         if phase is Phase.SPAWNING:
             _spawn(step, after)
         elif phase is Phase.KILLING:
-            _kill(step, after, reason)
+            step.world.put(after, killed_because=reason, due=step.now + step.world.limits.kill)
+            step.effects.append(Kill(name, after.attempt))
         elif phase in _ENDED and after.container is not None:
             node_rules.container_lost(step, after, reason)
         if before.phase is Phase.SPAWNING and fact in {Fact.STOP, Fact.FAILED}:
@@ -90,17 +83,12 @@ _OF_ATTEMPT: Final = {
 
 
 def _spawn(step: Reduction, process: Process) -> None:
-    start = step.world.next_start()
+    step.world.starts_made += 1
+    start = step.world.starts_made
     released_at = step.now if process.released_at is None else process.released_at
     values = {"attempt": start, "is_present": True, "began_at": step.now}
     step.world.put(process, released_at=released_at, **values, **_OF_ATTEMPT)
     step.effects.append(Spawn(process.name, start))
-
-
-def _kill(step: Reduction, process: Process, reason: str) -> None:
-    due = step.now + step.world.limits.kill
-    step.world.put(process, killed_because=reason, due=due)
-    step.effects.append(Kill(process.name, process.attempt))
 
 
 def _stop(step: Reduction, process: Process, reason: str) -> None:
@@ -170,23 +158,18 @@ def exited(step: Reduction, said: inputs.Exited) -> None:
     process = step.world.put(process, exit=said.exit, is_stuck=False, due=None, outcome=outcome)
     if process.phase in INACTIVE or process.phase in {Phase.QUEUED, Phase.BACKOFF}:
         return  # what follows was decided before
-    text, code = said.exit.text, said.exit.code
-    repeats = f"{text}: {PERMANENT_EXIT_CODES[code]}" if code in PERMANENT_EXIT_CODES else ""
-    lived = step.now - process.began_at
-    if process.container is None:
-        if process.config.on_exit is not OnExit.RESTART:
-            _exit(step, process, "", is_done=True, lived=lived)
-        elif code in _NEVER_RAN:
-            _exit(step, process, repeats, is_permanent=True)
-        else:
-            _exit(step, process, text, lived=lived)
-        return
+    text, code, is_process = said.exit.text, said.exit.code, process.container is None
     because = f"{process.killed_because}; " if is_killed else ""
-    if process.hello is None:
-        _exit(step, process, f"{because}{repeats or text}", is_permanent=bool(repeats))
-    elif code == CONTEXT_EXIT_CODE:
+    if is_process and process.config.on_exit is not OnExit.RESTART:
+        _exit(step, process, "", is_done=True)
+    elif process.hello is not None and code == CONTEXT_EXIT_CODE:
         _exit(step, process, "a node shut its ROS context down", is_done=True)
+    elif process.hello is None and code in (_NEVER_RAN if is_process else PERMANENT_EXIT_CODES):
+        why = f"{because}{text}: {PERMANENT_EXIT_CODES[code]}"
+        _exit(step, process, why, is_permanent=True)
     else:
+        has_lived = is_process or process.hello is not None
+        lived = step.now - process.began_at if has_lived else 0.0
         _exit(step, process, f"{because}{text}", lived=lived)
 
 
@@ -194,17 +177,12 @@ def cleaned_up(step: Reduction, said: inputs.CleanedUp) -> None:
     step.world.put(step.process(said.unit), is_present=False)
 
 
-def unkillable(step: Reduction, said: inputs.Unkillable) -> None:
-    process = step.process(said.unit)
+def unkillable(step: Reduction, said: inputs.Unkillable | Process) -> None:
+    """Give a process up that lives on after its kill, or after the last signal of its stop."""
+    process = said if isinstance(said, Process) else step.process(said.unit)
     if process.exit is None:
         step.world.put(process, is_stuck=True)
-        apply(step, said.unit, Fact.STUCK, _STUCK)
-
-
-def failed(step: Reduction, unit: str, reason: str) -> None:
-    """The supervisor's own code for a process failed: it is given up, and stopped in order."""
-    step.world.put(step.process(unit), wait=None)
-    apply(step, unit, Fact.FAILED, reason)
+        apply(step, process.name, Fact.STUCK, _STUCK)
 
 
 def due(step: Reduction, name: str) -> None:
@@ -213,17 +191,13 @@ def due(step: Reduction, name: str) -> None:
     if process.due is None or step.now < process.due:
         return
     process = step.world.put(process, due=None)
-    match process.phase:
-        case Phase.STARTING:
-            reason = f"it did not say hello within {step.world.limits.hello:g} s"
-            apply(step, name, Fact.FAULTY, reason, outcome=Outcome(Cause.CHANNEL_FAILED))
-        case Phase.KILLING:
-            step.world.put(process, is_stuck=True)
-            apply(step, name, Fact.STUCK, _STUCK)
-        case Phase.BACKOFF:
-            apply(step, name, Fact.RESTART_DUE)
-        case _:
-            pass
+    if process.phase is Phase.STARTING:
+        reason = f"it did not say hello within {step.world.limits.hello:g} s"
+        apply(step, name, Fact.FAULTY, reason, outcome=Outcome(Cause.CHANNEL_FAILED))
+    elif process.phase is Phase.KILLING:
+        unkillable(step, process)
+    elif process.phase is Phase.BACKOFF:
+        apply(step, name, Fact.START)
 
 
 def _exit(
@@ -244,25 +218,17 @@ def _exit(
     done = outcome.followed_by(Sequel.SHUTDOWN) if ends_all else outcome
     gave_up = done if ends_all else outcome.followed_by(Sequel.GAVE_UP)
     if process.is_requested and is_wanted(step.world, process):
-        apply(step, name, Fact.EXITED_DONE, reason, outcome=outcome)  # it is started anew
+        apply(step, name, Fact.DONE, reason, outcome=outcome)  # it is started anew
     elif process.is_fatal or was_stopped or is_permanent:
         gave_up = outcome if was_stopped else gave_up
-        apply(step, name, Fact.EXITED_GIVE_UP, reason, outcome=gave_up)
+        apply(step, name, Fact.GIVE_UP, reason, outcome=gave_up)
     elif is_done:
         if reason:
-            step.log(
-                f"{name}: stopped, and is not started again: {reason}", is_shown_otherwise=True
-            )
-        apply(step, name, Fact.EXITED_DONE, reason, outcome=done)
+            text = f"{name}: stopped, and is not started again: {reason}"
+            step.log(text, is_shown_otherwise=True)
+        apply(step, name, Fact.DONE, reason, outcome=done)
     else:
         _restart(step, process, reason, lived)
-    if not was_stopped:
-        _end_all_with(step, process)
-
-
-def _end_all_with(step: Reduction, process: Process) -> None:
-    if process.config.on_exit is OnExit.SHUTDOWN:
-        request_stop(step, f"{process.name} has ended")
 
 
 def _restart(step: Reduction, process: Process, reason: str, lived: float) -> None:
@@ -277,15 +243,16 @@ def _restart(step: Reduction, process: Process, reason: str, lived: float) -> No
     process = world.put(process, restarts=history)
     if isinstance(verdict, str):
         outcome, text = process.outcome.followed_by(Sequel.GAVE_UP), f"{reason}; {verdict}"
-        apply(step, process.name, Fact.EXITED_GIVE_UP, text, outcome=outcome)
+        apply(step, process.name, Fact.GIVE_UP, text, outcome=outcome)
         return
     is_attached = process.container is not None and process.container.attach
     what = "looked for again" if is_attached else "starts again"
     text = f"{reason}; {what} in {verdict:.2f} s"
-    under_way = node_rules.under_way(world, process.name)
+    nodes = world.nodes_of(process.name)
+    under_way = [node.key for node in nodes if node.state in LOADING]
     outcome = process.outcome.followed_by(Sequel.RESTART, verdict)
     due = now + verdict
-    apply(step, process.name, Fact.EXITED_RESTART, text, due, outcome=outcome)
+    apply(step, process.name, Fact.RESTART, text, due, outcome=outcome)
     if is_ours(process):
         blamed = under_way if process.blames_loads else ()
         quarantine.begin(step, process, blamed, reason)
@@ -313,32 +280,29 @@ def settle(step: Reduction, name: str) -> None:
         elif process.phase in {*INACTIVE, Phase.QUEUED, Phase.BACKOFF}:
             _begin(step, process)
     process = step.process(name)
-    if process.phase is Phase.QUEUED:
-        _queue(step, process)
+    if process.phase is not Phase.QUEUED:
+        return
+    failure = may_start(step, process)
+    if failure:
+        refused = Outcome(Cause.REFUSED, Sequel.GAVE_UP)
+        apply(step, name, Fact.GIVE_UP, failure, outcome=refused)
+    elif failure == "" and not process.is_present and _has_slot(world, process):
+        apply(step, name, Fact.TURN)
 
 
 def _settle_unwanted(step: Reduction, process: Process) -> None:
     world = step.world
     reason = process.request_reason or world.stop_reason or ""
+    before = world.stop_order.get(process.name, ()) if not world.is_hurried else ()
+    waits = any(name in world.processes and not step.process(name).is_at_rest for name in before)
     if process.phase in {Phase.QUEUED, Phase.BACKOFF}:
         world.put(process, wait=None)
         apply(step, process.name, Fact.STOP, reason)
-    elif process.phase in _ACTIVE and _may_stop(step, process):
+    elif process.phase in _ACTIVE and not waits:
         apply(step, process.name, Fact.STOP, reason)
     process = step.process(process.name)
     if process.is_removed and process.is_at_rest and not process.is_stuck:
         world.forget(process)
-
-
-def _may_stop(step: Reduction, process: Process) -> bool:
-    world = step.world
-    if not world.is_stopping or world.is_hurried:
-        return True
-    return all(
-        world.processes[other].is_at_rest
-        for other in world.stop_order.get(process.name, ())
-        if other in world.processes
-    )
 
 
 def _begin(step: Reduction, process: Process) -> None:
@@ -371,26 +335,12 @@ def _with_next_config(step: Reduction, process: Process) -> Process:
         # What was started once waits for no conditions.
         requested, released_at = was.is_requested, was.released_at
         world.put(Node(config=each, is_requested=requested, released_at=released_at))
-    anew = Process(config=config, attempt=process.attempt)
-    anew = replace(anew, phase=process.phase, reason=process.reason)
-    return world.put(replace(anew, released_at=process.released_at))
+    return world.put(process, config=config, next_config=None)
 
 
-def _queue(step: Reduction, process: Process) -> None:
-    failure = may_start(step, process)
-    if failure:
-        apply(step, process.name, Fact.IMPOSSIBLE, failure)
-    elif failure == "" and not process.is_present and _has_slot(step, process):
-        apply(step, process.name, Fact.TURN)
-
-
-def _has_slot(step: Reduction, process: Process) -> bool:
-    phases, world = {Phase.SPAWNING, Phase.STARTING}, step.world
+def _has_slot(world: World, process: Process) -> bool:
+    if not process.takes_slot:
+        return True
+    phases = {Phase.SPAWNING, Phase.STARTING}
     starting = [each for each in world.processes.values() if each.phase in phases]
-    return not _takes_slot(process) or sum(map(_takes_slot, starting)) < world.starts
-
-
-def _takes_slot(process: Process) -> bool:
-    config = process.container
-    # Waiting for a container that something else starts takes no slot.
-    return config is not None and not config.attach
+    return sum(each.takes_slot for each in starting) < world.starts

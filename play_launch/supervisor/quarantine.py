@@ -21,7 +21,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.supervisor import node_rules
-from play_launch.supervisor.inputs import Probe
+from play_launch.supervisor.inputs import Probe, blamed_frame
 from play_launch.supervisor.transitions import LOADING
 from play_launch.supervisor.world import Stage, is_wanted
 
@@ -87,16 +87,10 @@ def probed(step: Reduction, said: Probed) -> None:
         step.world.put(node, stage=Stage.CLEARED)
         return
     node = step.world.put(node, stage=Stage.CONDEMNED)
-    at = f" at {finding.blamed}" if finding.backtrace else ""
+    at = f" at {blamed_frame(finding.backtrace)}" if finding.backtrace else ""
     name = node.key.container
     where = f"in a scratch process, tried because {name} ended while it loaded the node"
     node_rules.refuse(step, node, f"{finding.error}{at} ({where})", finding)
-
-
-def survived(world: World, node: Node) -> None:
-    """Clear a node: its load ended, and the container lives."""
-    if node.stage is not Stage.TRUSTED or node.deaths:
-        world.put(node, stage=Stage.TRUSTED, deaths=0)
 
 
 def may_load(world: World, node: Node, now: float) -> bool:

@@ -9,19 +9,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from play_launch.supervisor import change, goals, inputs, node_rules, process_rules, quarantine
-from play_launch.supervisor.conditions import (
-    find_unit,
-    has_arrived,
-    nothing_is_left,
-    stopped_before,
-    unit_key,
-)
-from play_launch.supervisor.transitions import IDLE
+from play_launch.supervisor.conditions import has_arrived, nothing_is_left, stopped_before
+from play_launch.supervisor.transitions import IDLE, Fact
 from play_launch.supervisor.world import INACTIVE, Phase, Process
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from play_launch.config.model import ContainerConfig
     from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.inputs import Effect, Input
     from play_launch.supervisor.world import Node, UnitKey, World
@@ -71,6 +66,11 @@ class Reduction:
     def node(self, key: NodeKey) -> Node:
         return self.world.nodes[key]
 
+    def container_of(self, node: Node) -> ContainerConfig:
+        config = self.process(node.key.container).container
+        assert config is not None
+        return config
+
     def log(self, text: str, *, is_shown_otherwise: bool = False) -> None:
         self.effects.append(inputs.Log(text, is_shown_otherwise=is_shown_otherwise))
 
@@ -93,14 +93,7 @@ class Reduction:
 
 
 def reduce(world: World, said: Input, now: float, chance: float = 0.5) -> list[Effect]:
-    """Change the world as an input says, and give the effects that are to be carried out.
-
-    Args:
-        world: Is changed.
-        said: What happened.
-        now: Seconds of the event loop's clock.
-        chance: A random number in [0, 1), for the jitter of delays.
-    """
+    """Change the world as an input says, and give the effects that are to be carried out."""
     step = Reduction(world, now, chance)
     try:
         _take(step, said)
@@ -108,7 +101,7 @@ def reduce(world: World, said: Input, now: float, chance: float = 0.5) -> list[E
     except Exception as error:  # noqa: BLE001 - the effects until then are carried out
         step.effects.append(inputs.Raised("", error))
     # What is declared anew later is wanted.
-    world.dismissed = frozenset(each for each in world.dismissed if find_unit(world, each))
+    world.dismissed = frozenset(each for each in world.dismissed if world.find(each))
     return step.finish()
 
 
@@ -128,13 +121,11 @@ def _take(step: Reduction, said: Input) -> None:
         return
     match said:
         case inputs.Time():
-            for name in list(world.processes):
-                step.confine(name, process_rules.due, name)
-            for key in list(world.nodes):
-                step.confine(key.container, node_rules.due, key)
+            _evaluate(step, _all(world), process_rules.due, node_rules.due)
         case inputs.Failed():
             if said.unit in world.processes:
-                process_rules.failed(step, said.unit, said.reason)
+                world.put(step.process(said.unit), wait=None)
+                process_rules.apply(step, said.unit, Fact.FAILED, said.reason)
         case inputs.Probed():
             quarantine.probed(step, said)
         case inputs.Found():
@@ -142,10 +133,9 @@ def _take(step: Reduction, said: Input) -> None:
         case inputs.GoalReported():
             goals.reported(step, said)
         case inputs.StopRequested():
-            is_second = world.stop_signal is not None and said.signum is not None
-            world.is_hurried |= is_second or said.is_hurried
+            world.is_hurried |= said.is_hurried
             if not world.is_stopping and not said.is_hurried:
-                world.stop_reason, world.stop_signal = said.reason, said.signum
+                world.stop_reason = said.reason
                 world.stop_order = stopped_before(world)
         case inputs.StartRequested() | inputs.EndRequested():
             _operate(step, said)
@@ -157,7 +147,7 @@ def _take(step: Reduction, said: Input) -> None:
 
 def _operate(step: Reduction, said: inputs.StartRequested | inputs.EndRequested) -> None:
     """Note what an operator wants; it waits for no conditions."""
-    world, unit = step.world, find_unit(step.world, said.unit)
+    world, unit = step.world, step.world.find(said.unit)
     if unit is None:
         raise KeyError(said.unit)
     if isinstance(said, inputs.EndRequested):
@@ -188,42 +178,44 @@ def _settle(step: Reduction, *, is_about_all: bool) -> None:
         touched, world.touched = world.touched, set()
         before = (world.change, world.stop_reason)
         is_about_all = is_about_all or world.is_stopping or world.change is not None
-        names, keys = _concerned(world, touched, is_about_all=is_about_all)
-        for name in names:
-            step.confine(name, process_rules.settle, name)
-        for key in keys:
-            if key in world.nodes:
-                step.confine(key.container, node_rules.settle, key)
+        concerned = _all(world) if is_about_all else _concerned(world, touched)
+        _evaluate(step, concerned, process_rules.settle, node_rules.settle)
         for name in list(world.goals):
             step.confine(name.partition(":")[0], goals.settle, name)
         change.settle_confined(step)
         if not world.is_stopping and nothing_is_left(world):
             process_rules.request_stop(step, "nothing is left to run")
-        _note_arrivals(world, touched)
+        if not world.is_stopping:
+            units = [unit for key in touched if (unit := world.find(key)) is not None]
+            world.arrived.update(str(unit.key) for unit in units if has_arrived(world, unit))
         if not world.touched and before == (world.change, world.stop_reason):
             return
     raise AssertionError("the rules do not come to an end")
 
 
-def _concerned(
-    world: World, touched: set[UnitKey], *, is_about_all: bool
-) -> tuple[list[str], list[NodeKey]]:
+def _evaluate(
+    step: Reduction,
+    keys: list[UnitKey],
+    of_process: Callable[[Reduction, str], None],
+    of_node: Callable[[Reduction, NodeKey], None],
+) -> None:
+    for key in keys:
+        if isinstance(key, str):
+            if key in step.world.processes:
+                step.confine(key, of_process, key)
+        elif key in step.world.nodes:
+            step.confine(key.container, of_node, key)
+
+
+def _all(world: World) -> list[UnitKey]:
+    return [*world.processes, *world.nodes]
+
+
+def _concerned(world: World, touched: set[UnitKey]) -> list[UnitKey]:
     """Give the units whose rules may have another result than before, as declared."""
-    if is_about_all:
-        return list(world.processes), list(world.nodes)
     found = touched | world.waiting
     for key in touched:
         if isinstance(key, str):
             found |= set(world.keys.get(key, ()))
-    ordered = sorted((key for key in found if key in world.places), key=world.places.__getitem__)
-    names = [key for key in ordered if isinstance(key, str) and key in world.processes]
-    return names, [key for key in ordered if not isinstance(key, str)]
-
-
-def _note_arrivals(world: World, touched: set[UnitKey]) -> None:
-    if world.is_stopping:
-        return
-    for key in touched:
-        unit = find_unit(world, key) if isinstance(key, str) else world.nodes.get(key)
-        if unit is not None and unit_key(unit) not in world.arrived and has_arrived(world, unit):
-            world.arrived |= {unit_key(unit)}
+    ordered = sorted(found & world.places.keys(), key=world.places.__getitem__)
+    return sorted(ordered, key=lambda key: not isinstance(key, str))

@@ -28,7 +28,7 @@ class Fact(StrEnum):
     """What can happen to a process."""
 
     START = auto()
-    """A start was requested that has not been attempted."""
+    """A start was requested that has not begun, or a restart is due."""
     TURN = auto()
     """Its conditions are met, and nothing is left of its last process."""
     STARTED = auto()
@@ -37,28 +37,26 @@ class Fact(StrEnum):
     FAULTY = auto()
     """It has to be killed."""
     STOP = auto()
-    EXITED_RESTART = auto()
+    RESTART = auto()
     """It exited or could not be started, and is restarted."""
-    EXITED_GIVE_UP = auto()
-    """The same, and it is not restarted."""
-    EXITED_DONE = auto()
+    GIVE_UP = auto()
+    """The same, or a condition of its start cannot be met; and it is not restarted."""
+    DONE = auto()
     """It exited, which is no failure."""
-    IMPOSSIBLE = auto()
-    """A condition of its start cannot be met."""
     STUCK = auto()
     """Not even SIGKILL ended it within its limit."""
-    RESTART_DUE = auto()
     FAILED = auto()
     """The supervisor's own code for it failed."""
 
 
 _Row: TypeAlias = "Mapping[Fact, Phase]"
 
+EXITS: Final = frozenset({Fact.RESTART, Fact.GIVE_UP, Fact.DONE})
 _FAILS: Final[_Row] = {Fact.FAILED: Phase.GAVE_UP}
 _RUNS: Final[_Row] = {
-    Fact.EXITED_RESTART: Phase.BACKOFF,
-    Fact.EXITED_GIVE_UP: Phase.GAVE_UP,
-    Fact.EXITED_DONE: Phase.STOPPED,
+    Fact.RESTART: Phase.BACKOFF,
+    Fact.GIVE_UP: Phase.GAVE_UP,
+    Fact.DONE: Phase.STOPPED,
     Fact.STOP: Phase.STOPPING,
     **_FAILS,
 }
@@ -68,7 +66,7 @@ PROCESS_TABLE: Final[Mapping[Phase, _Row]] = {
     Phase.QUEUED: {
         **_FAILS,
         Fact.TURN: Phase.SPAWNING,
-        Fact.IMPOSSIBLE: Phase.GAVE_UP,
+        Fact.GIVE_UP: Phase.GAVE_UP,
         Fact.STOP: Phase.STOPPED,
     },
     Phase.SPAWNING: {**_RUNS, Fact.STARTED: Phase.STARTING},
@@ -79,14 +77,11 @@ PROCESS_TABLE: Final[Mapping[Phase, _Row]] = {
     Phase.KILLING: {**_RUNS, Fact.STUCK: Phase.GAVE_UP},
     Phase.STOPPING: {
         **_FAILS,
-        Fact.EXITED_RESTART: Phase.STOPPED,
-        Fact.EXITED_GIVE_UP: Phase.STOPPED,
-        Fact.EXITED_DONE: Phase.STOPPED,
+        **dict.fromkeys(EXITS, Phase.STOPPED),
         Fact.STUCK: Phase.GAVE_UP,
     },
     Phase.BACKOFF: {
         **_FAILS,
-        Fact.RESTART_DUE: Phase.QUEUED,
         Fact.START: Phase.QUEUED,
         Fact.STOP: Phase.STOPPED,
     },
@@ -147,16 +142,7 @@ _NodeRow: TypeAlias = "Mapping[NodeFact, tuple[State, *tuple[NodeAction, ...]]]"
 AWAITED: Final = frozenset({State.REQUESTED, State.LOADING, State.UNLOADING})
 """States in which the container owes an answer."""
 LOADING: Final = frozenset({State.REQUESTED, State.LOADING})
-IDLE: Final = frozenset(
-    {
-        State.PENDING,
-        State.LOAD_FAILED,
-        State.UNLOADED,
-        State.CRASHED,
-        State.GAVE_UP,
-        State.LOST,
-    }
-)
+IDLE: Final = frozenset(State) - AWAITED - {State.LOADED}
 """States in which the container does not have it."""
 
 _LOAD: Final = (State.REQUESTED, NodeAction.LOAD)

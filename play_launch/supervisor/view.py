@@ -31,7 +31,7 @@ from play_launch.supervisor.events import (
     SubjectKind,
     Withdrawn,
 )
-from play_launch.supervisor.outcome import ENDING_SIGNALS, described
+from play_launch.supervisor.outcome import ENDING_SIGNALS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 
-FAILED_STATES = frozenset({NodeState.LOAD_FAILED, NodeState.CRASHED, NodeState.GAVE_UP})
+_FAILED = frozenset({NodeState.LOAD_FAILED, NodeState.CRASHED, NodeState.GAVE_UP})
 _DISMISSING = frozenset({"stop", "unload"})
 """Actions whose targets are not expected to run afterwards."""
 _RECALLING = frozenset({"start", "restart", "load", "reload", "apply"})
@@ -94,7 +94,7 @@ class _Nodes(Struct, frozen=True, kw_only=True):
 
     @property
     def failed(self) -> tuple[NodeStateChanged, ...]:
-        return self._in(FAILED_STATES)
+        return self._in(_FAILED)
 
     @property
     def crashes(self) -> int:
@@ -149,23 +149,15 @@ class SystemView(_Nodes, frozen=True, kw_only=True):
     def expected(self) -> SystemView:
         """The same without what an operator dismissed; a container includes its nodes."""
         gone = self.dismissed
-        if not gone:
-            return self
-        containers = {
-            name: replace(
-                each, nodes={k: node for k, node in each.nodes.items() if str(k) not in gone}
-            )
-            for name, each in self.containers.items()
-            if name not in gone
-        }
+        containers = _less(self.containers, gone)
+        managed = {unit: each for unit, each in self.managed.items() if unit not in gone}
         return SystemView(
-            containers=containers,
-            processes={name: each for name, each in self.processes.items() if name not in gone},
-            managed={
-                unit: each
-                for unit, each in self.managed.items()
-                if gone.isdisjoint({unit, unit.partition(":")[0]})
+            containers={
+                name: replace(each, nodes=_less(each.nodes, gone))
+                for name, each in containers.items()
             },
+            processes=_less(self.processes, gone),
+            managed={u: each for u, each in managed.items() if u.partition(":")[0] not in gone},
         )
 
     def _all(self) -> Iterable[NodeStateChanged]:
@@ -204,16 +196,14 @@ class SystemView(_Nodes, frozen=True, kw_only=True):
             case NodeStateChanged():
                 return self._with_container(_node_changed(self._container(event.container), event))
             case ContainerStateChanged():
-                container = self._container(event.container)
-                return self._with_container(
-                    replace(
-                        container,
-                        state=event.state,
-                        stamp_ns=event.stamp_ns,
-                        reason=event.reason,
-                        mechanism=event.mechanism,
-                    )
+                container = replace(
+                    self._container(event.container),
+                    state=event.state,
+                    stamp_ns=event.stamp_ns,
+                    reason=event.reason,
+                    mechanism=event.mechanism,
                 )
+                return self._with_container(container)
             case ProcessEvent() if event.name in self.containers:
                 container = self.containers[event.name]
                 process = _process_changed(container.process, event)
@@ -243,13 +233,13 @@ class SystemView(_Nodes, frozen=True, kw_only=True):
         view = self
         match event.kind:
             case SubjectKind.CONTAINER:
-                view = replace(self, containers=_less(self.containers, event.key))
+                view = replace(self, containers=_less(self.containers, {event.key}))
             case SubjectKind.PROCESS:
-                view = replace(self, processes=_less(self.processes, event.key))
+                view = replace(self, processes=_less(self.processes, {event.key}))
             case SubjectKind.NODE:
-                key = NodeKey.parsed(event.key)
-                if (container := self.containers.get(key.container)) is not None:
-                    nodes = _less(container.nodes, key)
+                name = NodeKey.parsed(event.key).container
+                if (container := self.containers.get(name)) is not None:
+                    nodes = _less(container.nodes, {event.key})
                     view = self._with_container(replace(container, nodes=nodes))
         return replace(view, dismissed=self.dismissed - {event.key})
 
@@ -295,8 +285,8 @@ def _with(mapping: Mapping[_Key, _Value], key: _Key, value: _Value) -> Mapping[_
     return MappingProxyType({**mapping, key: value})
 
 
-def _less(mapping: Mapping[_Key, _Value], key: _Key) -> Mapping[_Key, _Value]:
-    return MappingProxyType({each: value for each, value in mapping.items() if each != key})
+def _less(mapping: Mapping[_Key, _Value], gone: Collection[str]) -> Mapping[_Key, _Value]:
+    return MappingProxyType({key: each for key, each in mapping.items() if str(key) not in gone})
 
 
 class StateSink(Protocol):
@@ -306,36 +296,12 @@ class StateSink(Protocol):
         """Take one event; the views are the same object where it changes nothing."""
 
 
-_NOT_RUNNING = frozenset({ContainerState.STOPPED, ContainerState.GAVE_UP})
 _NOT_UP = frozenset({ContainerState.STOPPED, ContainerState.STARTING})
-_NOT_LOADED = FAILED_STATES | {NodeState.UNLOADED}
 
 
 def is_up(view: SystemView) -> bool:
     """Whether all containers were started and all loads are done, well or not."""
     return not view.waiting and all(each.state not in _NOT_UP for each in view.containers.values())
-
-
-def absent(view: SystemView) -> dict[str, str]:
-    """Name the declared units that do not exist and are not going to be started, with the reason.
-
-    A process that exited with status 0 is not named, nor are the nodes of a container that does
-    not run, as they are loaded when it is started.
-    """
-    found: dict[str, str] = {}
-    for container in view.containers.values():
-        if container.state in _NOT_RUNNING:
-            found[container.name] = described(container.state, container.reason)
-            continue
-        for key, node in container.nodes.items():
-            if node.state in _NOT_LOADED:
-                found[str(key)] = described(node.state, node.reason)
-    for process in view.processes.values():
-        if process.name in view.dismissed and not process.pid:
-            found[process.name] = "it was stopped"
-        elif has_failed(process):
-            found[process.name] = process.message or "it has failed"
-    return found
 
 
 def exit_code(view: SystemView, final: SystemView, signum: int | None) -> int:

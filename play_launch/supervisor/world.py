@@ -1,19 +1,20 @@
 """The world: what is wanted, and what is; everything that is decided upon, and nothing else.
 
-Times are seconds of the event loop's clock. The values are immutable and replaced as a whole, so
-that `play_launch.supervisor.difference` finds what has changed by identity.
+Times are seconds of the event loop's clock. The units are immutable and replaced as a whole;
+`World.before` keeps them as they were, for `play_launch.supervisor.difference`.
 """
 
 from __future__ import annotations
 
 from enum import StrEnum, auto
 from heapq import heappop, heappush
-from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, TypeVar
 
 from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.config.model import ComposableNodeConfig, ContainerConfig, ContainerType
+from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import ContainerState, ManagedState, NodeState
 from play_launch.supervisor.outcome import Outcome, RestartHistory
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from play_launch.config.dependency import Condition
     from play_launch.config.model import ManagedConfig, ProcessConfig, ReplayConfig
-    from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.change import Change
     from play_launch.supervisor.inputs import ProbeResult
 
@@ -108,25 +108,34 @@ class Hello(Struct, frozen=True):
     description: str = ""
 
 
-class Process(Struct, frozen=True, kw_only=True):
+class _Unit(Struct, frozen=True, kw_only=True):
+    reason: str = ""
+    outcome: Outcome = Outcome()
+    """Of the phase or state, as is the reason."""
+    is_requested: bool
+    """Whether a start or load is requested that has not begun."""
+    attempt: int = 0
+    """Number of the latest start or load, unique in the session; 0 before the first."""
+    pid: int = 0
+    start_time: int = 0
+    restarts: RestartHistory = RestartHistory()
+    wait: Wait | None = None
+    released_at: float | None = None
+    """When it was started for the first time; automatic restarts wait for no conditions."""
+    is_removed: bool = False
+    """Whether it is no longer in the configuration, and is forgotten when it has ended."""
+
+
+class Process(_Unit, frozen=True, kw_only=True):
     """A container or an ordinary process of the configuration."""
 
     config: ContainerConfig | ProcessConfig
     phase: Phase = Phase.STOPPED
-    reason: str = ""
-    """Of the phase."""
-    outcome: Outcome = Outcome()
-    """Of the phase."""
     is_requested: bool = True
-    """Whether the configuration, an operator or a change requests a start that has not begun."""
-    attempt: int = 0
-    """Number of the latest start, unique in the session; 0 before the first."""
     is_present: bool = False
     """Whether something of its latest process is left: the process, its children, its output."""
     is_stuck: bool = False
     """Whether its process does not end, not even by SIGKILL."""
-    pid: int = 0
-    start_time: int = 0
     argv: tuple[str, ...] = ()
     is_started: bool = False
     """Whether its latest start has led to a process; that of an attached container has no pid."""
@@ -149,20 +158,16 @@ class Process(Struct, frozen=True, kw_only=True):
     """Whether a node was killed while it may have held a lock, which then stays locked."""
     is_leaking: bool = False
     """Whether cleaning up after a dead node failed in this process."""
-    restarts: RestartHistory = RestartHistory()
     request_reason: str = ""
     """Why it was requested to stop or to be replaced."""
-    wait: Wait | None = None
-    released_at: float | None = None
-    """When it was started for the first time; automatic restarts wait for no conditions."""
-    is_removed: bool = False
-    """Whether it is no longer in the configuration, and is forgotten when it has exited."""
     next_config: ContainerConfig | ProcessConfig | None = None
     """The configuration that its next process gets."""
 
     @property
-    def name(self) -> str:
+    def key(self) -> str:
         return self.config.full_name
+
+    name = member = key
 
     @property
     def times(self) -> tuple[float, ...]:
@@ -178,23 +183,23 @@ class Process(Struct, frozen=True, kw_only=True):
         return self.config if isinstance(self.config, ContainerConfig) else None
 
     @property
-    def takes_loads(self) -> bool:
-        """Whether composable nodes can be loaded into it now."""
+    def takes_slot(self) -> bool:
+        """Whether it counts among those that start at the same time; not if something else does."""
+        return isinstance(self.config, ContainerConfig) and not self.config.attach
+
+    @property
+    def runs(self) -> bool:
+        """Whether it is ready; then composable nodes can be loaded into a container."""
         return self.phase is Phase.RUNNING and self.exit is None
 
 
-class Node(Struct, frozen=True, kw_only=True):
+class Node(_Unit, frozen=True, kw_only=True):
     """A composable node of the configuration."""
 
     config: ComposableNodeConfig
     state: NodeState = NodeState.PENDING
-    reason: str = ""
-    outcome: Outcome = Outcome()
-    """Of the state."""
     is_requested: bool = False
-    """Whether an operator or a change requests a load that has not begun."""
-    attempt: int = 0
-    """Number of the latest load, unique in the session; 0 before the first."""
+    """Whether an operator or a change requests a load; its container loads it otherwise."""
     loaded_into: int = 0
     """The start of its container that the latest load belongs to."""
     unique_id: int = 0
@@ -209,13 +214,10 @@ class Node(Struct, frozen=True, kw_only=True):
     """When it is loaded again, or given up."""
     gives_up: str = ""
     """Why it is given up at that time; empty: it is loaded again."""
-    pid: int = 0
-    start_time: int = 0
     cpu_time_ns: int = 0
     loaded_at: float | None = None
     took: float = 0.0
     """Seconds of the latest load that was completed."""
-    history: RestartHistory = RestartHistory()
     crashed_pid: int = 0
     """Of its process that crashed last."""
     crashes: int = 0
@@ -240,17 +242,22 @@ class Node(Struct, frozen=True, kw_only=True):
     """Deaths of its container during its load, since the last load that the container survived."""
     excused: int = 0
     """Deaths that did not count as restarts because of it."""
-    wait: Wait | None = None
-    released_at: float | None = None
-    is_removed: bool = False
-
-    @property
-    def times(self) -> tuple[float, ...]:
-        return _times(self.wait, self.query_at, self.next_at)
 
     @property
     def key(self) -> NodeKey:
         return self.config.key
+
+    @property
+    def name(self) -> str:
+        return self.key.name
+
+    @property
+    def member(self) -> str:
+        return self.key.container
+
+    @property
+    def times(self) -> tuple[float, ...]:
+        return _times(self.wait, self.query_at, self.next_at)
 
 
 def _times(wait: Wait | None, *times: float | None) -> tuple[float, ...]:
@@ -270,7 +277,15 @@ class Goal(Struct, frozen=True, kw_only=True):
 
 
 UnitKey: TypeAlias = "str | NodeKey"
-_Unit = TypeVar("_Unit", bound=Process | Node | Goal)
+_Any = TypeVar("_Any", bound=Process | Node | Goal)
+
+
+class Before(NamedTuple):
+    """Units that have changed, as they were before; None: they did not exist."""
+
+    processes: dict[str, Process | None]
+    nodes: dict[NodeKey, Node | None]
+    goals: dict[str, Goal | None]
 
 
 class World:
@@ -287,7 +302,6 @@ class World:
         """The operator's overlay: what was stopped or unloaded, by name or key."""
         self.stop_reason: str | None = None
         """Why the whole system stops; None: it does not."""
-        self.stop_signal: int | None = None
         self.is_hurried = False
         self.is_ending = False
         """Whether the stop of the whole system was requested by a rule."""
@@ -300,7 +314,7 @@ class World:
         """Order of all units, as declared."""
         self.touched: set[UnitKey] = set()
         """Units that were changed since their rules were evaluated."""
-        self.changed: set[UnitKey] = set()
+        self.before = Before({}, {}, {})
         """Units that were changed since the events of that were derived."""
         self.waiting: set[UnitKey] = set()
         """Units whose rules depend on other units."""
@@ -312,7 +326,7 @@ class World:
         self.change: Change | None = None
         self.stop_order: dict[str, frozenset[str]] = {}
         """Processes that are stopped before each process, once the system stops."""
-        self.arrived: frozenset[str] = frozenset()
+        self.arrived: set[str] = set()
         """Units that were up once since their start, or failed for good."""
         members: list[ContainerConfig | ProcessConfig] = [*config.containers, *config.nodes]
         for member in members:
@@ -327,6 +341,12 @@ class World:
     def nodes_of(self, container: str) -> Iterator[Node]:
         return (self.nodes[key] for key in tuple(self.keys.get(container, ())))
 
+    def find(self, key: UnitKey) -> Process | Node | None:
+        """Find a process by name, or a node by its key or the text of that."""
+        if key in self.processes or (isinstance(key, str) and ":/" not in key):
+            return self.processes.get(str(key))
+        return self.nodes.get(NodeKey.parsed(key) if isinstance(key, str) else key)
+
     def declare(self, config: ContainerConfig | ProcessConfig | ComposableNodeConfig) -> None:
         """Put a new unit into the world, a container with its nodes."""
         if isinstance(config, ComposableNodeConfig):
@@ -336,38 +356,29 @@ class World:
         for node in config.composable_nodes if isinstance(config, ContainerConfig) else ():
             self.put(Node(config=node))
 
-    def next_start(self) -> int:
-        self.starts_made += 1
-        return self.starts_made
-
-    def next_load(self) -> int:
-        self.loads_made += 1
-        return self.loads_made
-
-    def put(self, unit: _Unit, **values: object) -> _Unit:
+    def put(self, unit: _Any, **values: object) -> _Any:
         """Put a unit into the world, with other values; return it as it is then."""
-        if values and all(getattr(unit, name) == value for name, value in values.items()):
-            return unit
-        changed = replace(unit, **values) if values else unit
-        if isinstance(changed, Process):
-            self._note(changed.name, self.processes.get(changed.name), changed)
-            self.processes[changed.name] = changed
-        elif isinstance(changed, Node):
-            if changed.key not in self.nodes:
-                self.keys.setdefault(changed.key.container, []).append(changed.key)
-            self._note(changed.key, self.nodes.get(changed.key), changed)
-            self.nodes[changed.key] = changed
-        else:
-            self._touch(changed.unit)
-            self.goals[changed.unit] = changed
-        return changed
-
-    def _touch(self, key: UnitKey) -> None:
-        self.touched.add(key)
-        self.changed.add(key)
+        new = replace(unit, **values) if values else unit
+        if isinstance(new, Process):
+            if new != (process := self.processes.get(new.key)):
+                self.processes[new.key] = new
+                self.before.processes.setdefault(new.key, process)
+                self._note(new.key, process, new)
+        elif isinstance(new, Node):
+            if new != (node := self.nodes.get(new.key)):
+                if node is None:
+                    self.keys.setdefault(new.key.container, []).append(new.key)
+                self.nodes[new.key] = new
+                self.before.nodes.setdefault(new.key, node)
+                self._note(new.key, node, new)
+        elif new != (goal := self.goals.get(new.unit)):
+            self.goals[new.unit] = new
+            self.before.goals.setdefault(new.unit, goal)
+            self.touched.add(new.unit)
+        return new
 
     def _note(self, key: UnitKey, old: Process | Node | None, new: Process | Node) -> None:
-        self._touch(key)
+        self.touched.add(key)
         place = self.places.setdefault(key, len(self.places))
         is_waiting = new.wait is not None or (
             new.phase is Phase.QUEUED if isinstance(new, Process) else new.stage is Stage.CLEARED
@@ -381,24 +392,25 @@ class World:
         """When something is due next for a unit; None: time alone changes nothing."""
         while self.due:
             at, _, key = self.due[0]
-            unit = self.processes.get(key) if isinstance(key, str) else self.nodes.get(key)
+            unit = self.find(key)
             if unit is not None and at in unit.times:
                 return at
             heappop(self.due)
         return None
 
-    def forget(self, unit: Process | Node) -> None:
+    def forget(self, unit: Process | Node | Goal) -> None:
         """Remove a unit; a container is removed with its nodes."""
+        if isinstance(unit, Goal):
+            self.before.goals.setdefault(unit.unit, self.goals.pop(unit.unit))
+            return
         if isinstance(unit, Process):
             for node in self.nodes_of(unit.name):
                 self.forget(node)
-            del self.processes[unit.name]
+            self.before.processes.setdefault(unit.key, self.processes.pop(unit.key))
         else:
-            del self.nodes[unit.key]
             self.keys[unit.key.container].remove(unit.key)
-        key = unit.name if isinstance(unit, Process) else unit.key
-        self.changed.add(key)
-        self.waiting.discard(key)
+            self.before.nodes.setdefault(unit.key, self.nodes.pop(unit.key))
+        self.waiting.discard(unit.key)
 
 
 class Limits(Struct, frozen=True, kw_only=True):

@@ -62,7 +62,7 @@ class Heard:
 @contextlib.asynccontextmanager
 async def observed(heard: Heard) -> AsyncIterator[None]:
     """Have a session observe the graph; the daemon that it may start goes on afterwards."""
-    observing = asyncio.create_task(observe_graph(os.environ, heard))
+    observing = asyncio.create_task(observe_graph(os.environ, heard.publish))
     try:
         yield
         assert not observing.done()
@@ -180,5 +180,5 @@ def test_a_daemon_that_dies_is_reported_once_and_started_again(
 
 
 def test_a_domain_that_is_none_is_reported(caplog: pytest.LogCaptureFixture) -> None:
-    asyncio.run(observe_graph({"ROS_DOMAIN_ID": "banana"}, Heard()))
+    asyncio.run(observe_graph({"ROS_DOMAIN_ID": "banana"}, Heard().publish))
     assert "no graph daemon: ROS_DOMAIN_ID is a number" in caplog.text

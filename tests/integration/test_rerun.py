@@ -139,6 +139,20 @@ def test_an_input_that_is_missing_is_noticed(session: Path, tmp_path: Path) -> N
     assert rerun(target, "--until", f"{found['until_s'] - 0.001}s")[0] == 0
 
 
+def test_an_input_of_another_version_is_named_as_such(session: Path, tmp_path: Path) -> None:
+    number = next(row[0] for row in inputs_of(session) if row[4]["type"] == "Exited")
+
+    def other(rows: Rows) -> Rows:
+        for row in rows:
+            if row[0] == number:
+                row[4]["type"] = "Vanished"
+        return rows
+
+    code, found = rerun(rewritten(session, tmp_path / "x.mcap", other))
+    assert (code, found["same"], found["differences"]) == (5, False, [])
+    assert "another version recorded inputs" in found["incomplete"]
+
+
 def test_other_verbs_read_it_and_one_without_inputs_is_incomplete(
     session: Path, tmp_path: Path
 ) -> None:

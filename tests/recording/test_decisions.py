@@ -21,7 +21,7 @@ from play_launch.recording.decisions import (
 )
 from play_launch.recording.forms import convert
 from play_launch.supervisor import reducer
-from play_launch.supervisor.difference import NOTHING, events_between
+from play_launch.supervisor.difference import events_since
 from play_launch.supervisor.inputs import Origin, Over, Started
 from play_launch.supervisor.world import World
 from tests.simulation import machine, systems
@@ -98,8 +98,8 @@ def test_secrets_and_what_decides_nothing_are_left_out() -> None:
     assert isinstance(found.said, Origin)
     assert found.said.config.start_rules == config.start_rules
     world = World(found.said.config)
-    first = list(events_between(NOTHING, world, now=5.0, stamp_ns=0))
-    assert first == list(events_between(NOTHING, World(config), now=5.0, stamp_ns=0))
+    first = list(events_since(world, now=5.0, stamp_ns=0))
+    assert first == list(events_since(World(config), now=5.0, stamp_ns=0))
 
 
 def test_a_command_line_of_any_bytes_is_written() -> None:

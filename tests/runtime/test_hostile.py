@@ -15,11 +15,9 @@ from play_launch.config.node_key import NodeKey
 from play_launch.container.messages import Load, Rejected
 from play_launch.process.exit import Exit
 from play_launch.ros.access import RosAccess
+from play_launch.runtime.signals import StopRequests
 from play_launch.supervisor import node_rules, process_rules
 from play_launch.supervisor.events import NodeState, ProcessEventKind
-from play_launch.supervisor.inputs import StopRequested
-from play_launch.supervisor.reducer import reduce
-from play_launch.supervisor.world import World
 
 from .fakes import (
     FakeContainer,
@@ -184,14 +182,12 @@ async def test_one_that_does_not_die_is_not_stopped_again_at_the_end() -> None:
 
 
 def test_one_signal_beside_a_crash_does_not_hurry() -> None:
-    world = World(system(process("p", on_exit=OnExit.SHUTDOWN)))
-    reduce(world, StopRequested("/p has ended"), 1.0)
-    reduce(world, StopRequested("signal 2", 2), 1.0)
-    assert not world.is_hurried
-    world = World(system(process("p")))
-    reduce(world, StopRequested("signal 2", 2), 1.0)
-    reduce(world, StopRequested("signal 2", 2), 1.0)
-    assert world.is_hurried
+    stop = StopRequests()
+    stop.request(reason="/p has ended")
+    stop.request(2)
+    assert not stop.hurry.is_set()
+    stop.request(2)
+    assert stop.hurry.is_set()
 
 
 async def test_a_file_that_cannot_be_looked_for_is_waited_for_and_holds_up_nothing_else() -> None:

@@ -26,11 +26,11 @@ __all__ = ["BrokenError", "Checks"]
 
 if TYPE_CHECKING:
     from play_launch.config.node_key import NodeKey
-    from play_launch.supervisor.difference import Snapshot
     from play_launch.supervisor.events import RunEvent
     from play_launch.supervisor.view import SystemView
 
     from .machine import Machine
+    from .seen import Snapshot
 
 AWAITED: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING, NodeState.UNLOADING})
 INTERVAL: Final = 15.0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.config.dependency import Condition
 from play_launch.supervisor import inputs as said
 from play_launch.supervisor.conditions import has_ended
-from play_launch.supervisor.difference import NOTHING, Snapshot, events_between
+from play_launch.supervisor.difference import events_since
 from play_launch.supervisor.plan import StepOutcome
 from play_launch.supervisor.reducer import deadline, reduce
 from play_launch.supervisor.view import SystemView
@@ -22,6 +22,7 @@ from .managed import ManagedNodes
 from .nodes import Nodes
 from .person import Person
 from .processes import Processes
+from .seen import Snapshot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -101,10 +102,10 @@ class Machine:
 
     def _process(self, one: said.Input) -> None:
         self.steps += 1
-        before = Snapshot.of(self.world)
+        before = Snapshot(dict(self.world.processes), dict(self.world.nodes))
         self.checks.before(one)
         effects = reduce(self.world, one, self.now, self.chance.number("jitter"))
-        events = list(events_between(before, self.world, now=self.now, stamp_ns=0))
+        events = list(events_since(self.world, now=self.now, stamp_ns=0))
         self.publish(events)
         self.trace.append((self.now, one, effects))
         if self.steps > MOST_STEPS:
@@ -120,7 +121,7 @@ class Machine:
             self.view = self.view.after(event)
 
     def begin(self) -> None:
-        self.publish(list(events_between(NOTHING, self.world, now=self.now, stamp_ns=0)))
+        self.publish(list(events_since(self.world, now=self.now, stamp_ns=0)))
         self.post(said.Time())
 
     def is_unlucky(self, times: float, what: str) -> bool:
@@ -147,9 +148,7 @@ class Machine:
             case said.Probe():
                 self.nodes.probe(effect.nodes)
             case said.Drive():
-                self.managed.drive(effect.unit, effect.instance)
-            case said.Transit():
-                self.managed.transit(effect)
+                self.managed.drive(effect)
             case said.SetParameters():
                 self.person.set_parameters(effect)
             case StepOutcome():
@@ -203,8 +202,7 @@ def lived(machine: Machine) -> Machine:
         machine.checks.at_rest()
     before = machine.view
     if not machine.world.is_stopping:
-        signum = chance.choice((None, 2, 15), "signal")
-        machine.post(said.StopRequested("the simulation is over", signum))
+        machine.post(said.StopRequested("the simulation is over"))
         if chance.happens(0.2, "hurry"):
             machine.post(said.StopRequested(is_hurried=True))
     machine.run(machine.now + END)

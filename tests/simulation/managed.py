@@ -20,8 +20,13 @@ class ManagedNodes:
         self.talks: dict[str, int] = {}
         """The instance that each unit is talked to about."""
 
-    def drive(self, unit: str, instance: int) -> None:
-        machine = self._machine
+    def drive(self, effect: said.Drive) -> None:
+        machine, unit, instance = self._machine, effect.unit, effect.instance
+        if effect.to is ManagedState.ABSENT:
+            return
+        if effect.to is not ManagedState.ASKED:
+            self._transit(effect)
+            return
         self.talks[unit] = instance
         self._answer(unit, instance, ManagedInput.IS_UNCONFIGURED)
         if machine.is_unlucky(0.1, f"is moved by hand: {unit}"):
@@ -30,7 +35,7 @@ class ManagedNodes:
             delay = machine.soon(10.0, f"moved {unit}")
             machine.post_later(delay, said.GoalReported(unit, instance, one, "by hand"))
 
-    def transit(self, effect: said.Transit) -> None:
+    def _transit(self, effect: said.Drive) -> None:
         leads_to = {
             ManagedState.CONFIGURING: ManagedInput.IS_INACTIVE,
             ManagedState.ACTIVATING: ManagedInput.IS_ACTIVE,

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor import inputs as said
+from play_launch.supervisor.conditions import absent_units
 from play_launch.supervisor.events import ActionEvent, ActionPhase
 from play_launch.supervisor.plan import StepOutcome, after, plan
-from play_launch.supervisor.view import absent
 
 from . import systems
 
@@ -79,26 +79,11 @@ class Person:
         self._changes += 1
         chance = random.Random(f"{machine.chance.seed} {self._changes}")
         self.target = systems.changed(chance, machine.config)
-        found = plan(machine.config, self.target, self._absent())
+        found = plan(machine.config, self.target, absent_units(machine.world, machine.config))
         self.done = []
         recalled = tuple(step.name for step in found.to_do if step.name)
         self._note("apply", recalled)
         machine.post(said.ChangeRequested(self.target, found.phases(), 30.0))
-
-    def _absent(self) -> dict[str, str]:
-        """As `play_launch.runtime.applying` finds it."""
-        world, config = self._machine.world, self._machine.config
-        members = {*(each.full_name for each in config.containers)}
-        members |= {each.full_name for each in config.nodes}
-        nodes = {each.key for box in config.containers for each in box.composable_nodes}
-        left = [*(members - world.processes.keys()), *map(str, nodes - world.nodes.keys())]
-        left += [
-            each.name
-            for each in world.processes.values()
-            if each.is_removed or each.next_config is not None
-        ]
-        left += [str(each.key) for each in world.nodes.values() if each.is_removed]
-        return {**absent(self._machine.view), **dict.fromkeys(left, "it was asked to end")}
 
     def set_parameters(self, effect: said.SetParameters) -> None:
         machine, step = self._machine, effect.step

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor import inputs as said
@@ -23,11 +23,18 @@ from .person import unit_of
 
 if TYPE_CHECKING:
     from play_launch.supervisor.events import RunEvent
-    from play_launch.supervisor.world import Exit
+    from play_launch.supervisor.world import Exit, Node, Process
 
     from .machine import Machine
 
 LOADING: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING})
+
+
+class Snapshot(NamedTuple):
+    """The units of a world at one moment."""
+
+    processes: dict[str, Process]
+    nodes: dict[NodeKey, Node]
 
 
 class BrokenError(AssertionError):
@@ -130,7 +137,7 @@ class Seen:
             case said.ChangeRequested():
                 self._change(one)
             case said.StopRequested():
-                if one.is_hurried or (self.stop_reason is not None and one.signum is not None):
+                if one.is_hurried:
                     self.is_hurried = True
                 elif self.stop_reason is None:
                     self.stop_reason, self.stopped_at = one.reason, now

@@ -17,7 +17,7 @@ from play_launch.config.model import (
     ReplayConfig,
 )
 from play_launch.config.node_key import NodeKey
-from play_launch.supervisor.difference import Snapshot, events_between
+from play_launch.supervisor.difference import events_since
 from play_launch.supervisor.events import ManagedNodeChanged, ManagedState
 from play_launch.supervisor.goals import next_state
 from play_launch.supervisor.inputs import ManagedInput
@@ -109,9 +109,9 @@ def test_events_of_goals_have_one_order() -> None:
         },
     )
     world = World(config)
-    before = Snapshot.of(world)
+    list(events_since(world, now=0.0, stamp_ns=0))
     for goal in reversed(world.goals.values()):
         world.put(goal, state=State.ACTIVE)
-    events = events_between(before, world, now=0.0, stamp_ns=0)
+    events = events_since(world, now=0.0, stamp_ns=0)
     units = [each.unit for each in events if isinstance(each, ManagedNodeChanged)]
     assert units == [str(key) for key in keys]
