@@ -277,7 +277,7 @@ class Goal(Struct, frozen=True, kw_only=True):
 
 
 UnitKey: TypeAlias = "str | NodeKey"
-_Any = TypeVar("_Any", bound=Process | Node | Goal)
+_AnyUnit = TypeVar("_AnyUnit", bound=Process | Node | Goal)
 
 
 class Before(NamedTuple):
@@ -315,7 +315,7 @@ class World:
         self.touched: set[UnitKey] = set()
         """Units that were changed since their rules were evaluated."""
         self.before = Before({}, {}, {})
-        """Units that were changed since the events of that were derived."""
+        """Units that were changed since events were derived, as they were then."""
         self.waiting: set[UnitKey] = set()
         """Units whose rules depend on other units."""
         self.due: list[tuple[float, int, UnitKey]] = []
@@ -356,7 +356,7 @@ class World:
         for node in config.composable_nodes if isinstance(config, ContainerConfig) else ():
             self.put(Node(config=node))
 
-    def put(self, unit: _Any, **values: object) -> _Any:
+    def put(self, unit: _AnyUnit, **values: object) -> _AnyUnit:
         """Put a unit into the world, with other values; return it as it is then."""
         new = replace(unit, **values) if values else unit
         if isinstance(new, Process):
