@@ -23,7 +23,6 @@ from .person import unit_of
 from .seen import BrokenError
 
 if TYPE_CHECKING:
-    from play_launch.config.model import ProcessConfig
     from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.view import SystemView
     from play_launch.supervisor.world import Process
@@ -67,28 +66,21 @@ class RestChecks:
     def _configuration(self) -> None:
         machine = self._machine
         is_ = {*machine.world.processes, *map(str, machine.world.nodes)}
-        config = machine.config
-        meant = {each.full_name for each in config.containers}
-        meant |= {each.full_name for each in config.nodes}
-        meant |= {str(each.key) for box in config.containers for each in box.composable_nodes}
+        meant = machine.config.parts
         leaving = self._seen.unremoved | {
             each.name
             for each in machine.world.processes.values()
             if each.is_removed or each.is_stuck or each.next_config is not None
         }
-        differs = {each for each in is_ ^ meant if leaving.isdisjoint({each, unit_of(each)})}
+        differs = {each for each in is_ ^ meant.keys() if leaving.isdisjoint({each, unit_of(each)})}
         if differs:
             raise BrokenError("the configuration holds", str(sorted(differs)), tuple(differs))
-        declared: list[ContainerConfig | ProcessConfig] = [*config.containers, *config.nodes]
-        for each in declared:
-            name = each.full_name
-            if self._is_old(machine.world.processes.get(name), each) and name not in leaving:
+        for name, each in meant.items():
+            process = machine.world.processes.get(name)
+            if process is not None and name not in leaving and self._is_old(process.config, each):
                 raise BrokenError("the configuration holds", f"{name} has an old one", (name,))
 
-    def _is_old(self, process: Process | None, config: ContainerConfig | ProcessConfig) -> bool:
-        if process is None:
-            return False
-        has = process.config
+    def _is_old(self, has: object, config: object) -> bool:
         if isinstance(has, ContainerConfig) and isinstance(config, ContainerConfig):
             return replace(has, composable_nodes=()) != replace(config, composable_nodes=())
         return has != config

@@ -58,18 +58,6 @@ def test_what_does_not_count_always_restarts_and_uses_nothing_up(
             assert isinstance(verdict, float) == (bounds.max_restarts > 0)
 
 
-def test_pauses_grow_to_the_maximum_and_start_anew_after_a_healthy_life() -> None:
-    bounds = RestartLimits(max_restarts=100, within=60.0, initial=0.1, maximum=1.0)
-    history, delays = RestartHistory(), []
-    for _ in range(6):
-        history, verdict = decide(history, bounds, now=0.0, lived=0.0, jitter=0.0)
-        assert isinstance(verdict, float)
-        delays.append(round(verdict, 3))
-    assert delays == [0.05, 0.1, 0.2, 0.4, 0.5, 0.5]
-    _, verdict = decide(history, bounds, now=100.0, lived=60.0, jitter=0.0)
-    assert verdict == 0.05
-
-
 def test_the_first_restart_can_be_at_once() -> None:
     bounds = RestartLimits(
         max_restarts=100, within=60.0, initial=0.1, maximum=0.3, first_at_once=True
