@@ -18,7 +18,8 @@ from play_launch.cli.rerun import rerun as rerun_here
 from play_launch.container.cdr.messages import PARAMETER_VALUE
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording import topics
-from play_launch.supervisor import outcome
+from play_launch.supervisor import process_rules
+from play_launch.supervisor.outcome import decide
 from tests.support.replay import replaying, run
 from tests.support.waiting import until
 
@@ -199,7 +200,10 @@ def test_another_input_leads_to_something_else(session: Path, tmp_path: Path) ->
 def test_another_rule_leads_to_something_else(
     session: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(outcome, "_pause", lambda *_: 3600.0)
+    def much_later(*what: Any, **limits: Any) -> tuple[Any, float]:
+        return decide(*what, **limits)[0], 3600.0
+
+    monkeypatch.setattr(process_rules, "decide", much_later)
     assert rerun_here(session, as_json=True) == 1
     (first,) = json.loads(capsys.readouterr().out)["differences"]
     assert (first["unit"], first["input"]["type"]) == ("/chat", "Exited")

@@ -146,7 +146,7 @@ async def test_a_node_that_is_not_managed_any_more_has_arrived(down: bool) -> No
         assert not sys.operated.pending
 
 
-@pytest.mark.parametrize("where", ["settle", "_result"])
+@pytest.mark.parametrize("where", ["_settle", "_result"])
 async def test_a_bug_in_the_rules_of_a_change_ends_the_change_only(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
