@@ -9,28 +9,27 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from msgspec.structs import replace
+
 from play_launch.config.model import ContainerConfig
 from play_launch.container.channel import CONTROL_FD_VARIABLE
 from play_launch.container.command import (
-    ExecutableNotFoundError,
-    ParameterFileError,
-    parameter_file_of,
-)
-from play_launch.container.environment import caller_environment, child_environment
-from play_launch.container.ros import component_container, ros_installation, topic_recorder
-from play_launch.process.kin import MEMBER_VARIABLE, mark_for
-from play_launch.process.program import SpawnError, check_program
-from play_launch.recording.facts import REDACTED, is_secret
-from play_launch.recording.resolved_form import taken_secrets, without
-from play_launch.recording.topic_recorder.supervision import recorder_argv
-from play_launch.runtime.commands import (
     Command,
+    ExecutableNotFoundError,
     Machine,
     allocator_for,
     container_command,
     is_own,
     process_command,
 )
+from play_launch.container.environment import caller_environment, child_environment
+from play_launch.container.parameter_files import ParameterFileError, parameter_file_of
+from play_launch.container.ros import component_container, ros_installation, topic_recorder
+from play_launch.process.kin import MEMBER_VARIABLE, mark_for
+from play_launch.process.program import SpawnError, check_program
+from play_launch.recording.facts import REDACTED, is_secret
+from play_launch.recording.resolved_form import taken_secrets, without
+from play_launch.recording.topic_recorder.supervision import recorder_argv
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -64,8 +63,7 @@ def processes(config: ReplayConfig) -> list[dict[str, Any]]:
     caller = caller_environment(os.environ, ros)
     secrets = taken_secrets(config)
     attached = {each.full_name for each in config.containers if each.attach}
-    members: tuple[ContainerConfig | ProcessConfig, ...] = (*config.containers, *config.nodes)
-    started = (each for each in members if each.full_name not in attached)
+    started = (each for each in config.members if each.full_name not in attached)
     found = [_member(each, machine, config.stop.ask) for each in started]
     if config.record.ros:
         argv = recorder_argv(recorder, config.record, _DESCRIPTOR, "(clock)")
@@ -117,7 +115,7 @@ def _member(config: ContainerConfig | ProcessConfig, machine: Machine, ask: floa
     variables = {MEMBER_VARIABLE: mark_for("(pid)", config.full_name)}
     if isinstance(config, ContainerConfig) and is_own(config):
         variables[CONTROL_FD_VARIABLE] = _DESCRIPTOR
-    command = command.with_variables(variables)
+    command = replace(command, environment={**command.environment, **variables})
     try:
         check_program(command.argv, command.environment, command.cwd)
     except SpawnError as error:

@@ -411,6 +411,11 @@ class ReplayConfig(Struct, frozen=True, kw_only=True):
     managed: Mapping[str, ManagedConfig] = _EMPTY
 
     @property
+    def members(self) -> tuple[ContainerConfig | ProcessConfig, ...]:
+        """Containers and ordinary executables."""
+        return (*self.containers, *self.nodes)
+
+    @property
     def parts(self) -> dict[str, ContainerConfig | ProcessConfig | ComposableNodeConfig]:
         """Containers and processes by full name, composable nodes by the text of their keys."""
         nodes = [node for each in self.containers for node in each.composable_nodes]

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import socket
 from collections import deque
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from play_launch.container.codec import (
     MAX_FRAME_LENGTH,
     Frame,
     FrameDecoder,
-    FrameError,
     MessageError,
     decode_message,
     encode_message,
@@ -24,6 +22,8 @@ from play_launch.container.codec import (
 from play_launch.container.messages import PROTOCOL_VERSION, Hello
 
 if TYPE_CHECKING:
+    import socket
+
     from play_launch.container.messages import Incoming, Outgoing
 
 CONTROL_FD_VARIABLE = "PLAY_LAUNCH_CONTROL_FD"
@@ -65,51 +65,6 @@ class ChannelOverflowError(ControlError):
 
     def __init__(self, waiting: int) -> None:
         super().__init__(f"the container does not read: {waiting} bytes wait for it")
-
-
-class ControlPair:
-    """Both ends of a new channel; neither is inherited unless it is passed on by number.
-
-    Give `child_fd` to the container (with `environment`), then call `close_child_end`: as long as
-    we hold it as well, the end of the stream never comes.
-    """
-
-    def __init__(self) -> None:
-        self.ours, self._theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
-
-    @property
-    def child_fd(self) -> int:
-        """The container's end."""
-        return self._theirs.fileno()
-
-    @property
-    def environment(self) -> dict[str, str]:
-        """What passes it to a container that has it under the same number."""
-        return {CONTROL_FD_VARIABLE: str(self.child_fd)}
-
-    def close_child_end(self) -> None:
-        """Close our copy of the container's end; may be called twice."""
-        self._theirs.close()
-
-    def close(self) -> None:
-        """Close both ends; may be called twice."""
-        self._theirs.close()
-        self.ours.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-def control_pair() -> ControlPair:
-    """Make a channel.
-
-    Raises:
-        OSError: EMFILE and the like.
-    """
-    return ControlPair()
 
 
 class ControlChannel:
@@ -171,9 +126,17 @@ class ControlChannel:
                 frame = self._frames.popleft()
                 if not self._reading and len(self._frames) <= MAX_QUEUED_FRAMES // 2:
                     self._read_on()
-                message = self._decode(frame)
+                if frame.version != PROTOCOL_VERSION:
+                    self._frames.clear()
+                    raise self._fail(VersionMismatchError(frame.version))
+                try:
+                    message = decode_message(frame, container=self.container)
+                except MessageError as error:
+                    self._frames.clear()
+                    raise self._fail(ProtocolViolationError(str(error))) from error
                 if message is not None:
                     return message
+                _log.warning("%s sent a frame of unknown kind %d", self.container, frame.kind)
             if self._error is not None:
                 raise self._error
             self._arrived.clear()
@@ -202,20 +165,6 @@ class ControlChannel:
     def __repr__(self) -> str:
         state = "open" if self._error is None else str(self._error)
         return f"<ControlChannel to {self.container}: {state}>"
-
-    def _decode(self, frame: Frame) -> Incoming | None:
-        if frame.version != PROTOCOL_VERSION:
-            self._frames.clear()
-            raise self._fail(VersionMismatchError(frame.version))
-        try:
-            message = decode_message(frame, container=self.container)
-        except MessageError as error:
-            self._frames.clear()
-            raise self._fail(ProtocolViolationError(str(error))) from error
-        if message is None:
-            _log.warning("%s sent a frame of unknown kind %d", self.container, frame.kind)
-            return None
-        return message
 
     def _fail(self, error: ControlError) -> ControlError:
         """End the channel for this reason unless it has ended before; return the reason."""
@@ -252,13 +201,9 @@ class ControlChannel:
                 )
             )
             return
-        try:
-            self._frames.extend(self._decoder.feed(data))
-            broken = self._decoder.error
-        except FrameError as error:
-            broken = error
-        if broken is not None:
-            self._fail(ProtocolViolationError(str(broken)))
+        self._frames.extend(self._decoder.feed(data))
+        if self._decoder.error is not None:
+            self._fail(ProtocolViolationError(str(self._decoder.error)))
         elif len(self._frames) >= MAX_QUEUED_FRAMES:
             self._loop.remove_reader(self._socket)
             self._reading = False

@@ -77,41 +77,33 @@ class Frame(NamedTuple):
 
 
 class FrameError(Exception):
-    """What came cannot be a frame; the rest of the stream has lost its meaning."""
-
-
-class FrameLengthError(FrameError):
-    """The length field has an impossible value."""
+    """The length field of a frame is impossible; the rest of the stream has lost its meaning."""
 
     def __init__(self, length: int) -> None:
         super().__init__(
             f"a frame of {length} bytes, allowed are {_HEAD.size} to {MAX_FRAME_LENGTH}"
         )
-        self.length = length
 
 
 def encode_frame(kind: int, payload: bytes, *, version: int = PROTOCOL_VERSION) -> bytes:
     """Put a payload into a frame.
 
     Raises:
-        FrameLengthError: When the payload is larger than a frame can carry.
+        FrameError: When the payload is larger than a frame can carry.
     """
     length = _HEAD.size + len(payload)
     if length > MAX_FRAME_LENGTH:
-        raise FrameLengthError(length)
+        raise FrameError(length)
     return b"".join((_LENGTH.pack(length), _HEAD.pack(kind, version), payload))
 
 
 class FrameDecoder:
-    """Cuts a byte stream into frames, whatever the sizes of the pieces in which it arrives.
-
-    After an error, each call raises it again.
-    """
+    """Cuts a byte stream into frames, whatever the sizes of the pieces in which it arrives."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
         self.error: FrameError | None = None
-        """Why the rest of the stream cannot be read, if so."""
+        """Why the rest of the stream is not read, if so."""
 
     @property
     def pending(self) -> int:
@@ -119,22 +111,16 @@ class FrameDecoder:
         return len(self._buffer)
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take the next piece and give the frames that are complete now.
-
-        Frames in front of a broken one are given first: look at `error` after a call.
-
-        Raises:
-            FrameLengthError: On an impossible length.
-        """
+        """Take the next piece and give the frames that are complete now; check `error` then."""
         if self.error is not None:
-            raise self.error
+            return []
         self._buffer += data
         frames: list[Frame] = []
         start = 0
         while len(self._buffer) - start >= _LENGTH.size:
             (length,) = _LENGTH.unpack_from(self._buffer, start)
             if not _HEAD.size <= length <= MAX_FRAME_LENGTH:
-                self.error = FrameLengthError(length)
+                self.error = FrameError(length)
                 break
             body = start + _LENGTH.size
             end = body + length
@@ -145,8 +131,6 @@ class FrameDecoder:
             frames.append(Frame(kind, version, payload))
             start = end
         del self._buffer[:start]
-        if self.error is not None and not frames:
-            raise self.error
         return frames
 
 
@@ -178,7 +162,7 @@ def encode_message(message: Outgoing) -> bytes:
             kind,
             layout.write({name: _value(getattr(message, name)) for name in layout.types}),
         )
-    except (struct_error, ValueError, FrameLengthError) as error:
+    except (struct_error, ValueError, FrameError) as error:
         raise EncodeError(message, error) from error
 
 

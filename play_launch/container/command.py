@@ -1,21 +1,40 @@
-"""Command lines and parameter files of containers and of ordinary processes."""
+"""Command line and environment of containers and of ordinary processes.
+
+Nothing is started here.
+"""
 
 from __future__ import annotations
 
 import os
-import sys
-import tempfile
+import shutil
+from collections.abc import Mapping  # noqa: TC003 - msgspec evaluates the annotations
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-import yaml
+from msgspec import Struct
 
-from play_launch.config.model import FOR_ALL, MemoryDomains, ParameterType, ProcessConfig
+from play_launch.config.model import ContainerType, Isolation, MemoryDomains
+from play_launch.config.resources import NO_RESOURCES, Resources
+from play_launch.config.substitutions import ament_prefixes
+from play_launch.container.environment import (
+    Allocator,
+    child_environment,
+    find_allocator,
+    for_isolation,
+    foreign_python_environment,
+    with_safe_waits,
+)
+from play_launch.container.ros import RosInstallation  # noqa: TC001 - as above
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
-    from play_launch.config.model import ContainerConfig, ParameterConfig
+    from play_launch.config.model import (
+        ComposableNodeConfig,
+        ContainerConfig,
+        ProcessConfig,
+        ReplayConfig,
+    )
 
 
 class ExecutableNotFoundError(Exception):
@@ -31,6 +50,49 @@ class ExecutableNotFoundError(Exception):
         self.executable = executable
 
 
+_CONTAINER_SHARE: Final = 0.6
+"""Part of the time for asking that the container gives its nodes; the rest is its own."""
+
+
+class Machine(Struct, frozen=True):
+    """What commands are made from besides the configuration."""
+
+    ros: RosInstallation
+    container: Path
+    """The program `component_container`."""
+    environment: Mapping[str, str]
+    """What children inherit, usually our own."""
+    allocator: Path | None = None
+    """What isolated containers preload."""
+
+
+class Command(Struct, frozen=True):
+    """What is executed; without ``cwd`` in our own working directory."""
+
+    argv: tuple[str, ...]
+    environment: Mapping[str, str]
+    cwd: Path | None = None
+    emulate_tty: bool = False
+    resources: Resources = NO_RESOURCES
+    """What the process asks of the kernel before it is executed."""
+
+
+def is_own(container: ContainerConfig) -> bool:
+    """Whether it runs our own program."""
+    return not container.attach and container.container_type is not ContainerType.STOCK
+
+
+def shares_memory(container: ContainerConfig) -> bool:
+    """Whether its nodes are processes in its own memory."""
+    return container.container_type.is_isolated and container.isolation is not Isolation.PROCESS
+
+
+def allocator_for(config: ReplayConfig) -> Allocator:
+    """Find what the isolated containers of a system preload; searches only if there are any."""
+    needed = any(shares_memory(container) for container in config.containers)
+    return find_allocator() if needed else Allocator(None)
+
+
 def container_argv(
     config: ContainerConfig,
     binary: Path,
@@ -42,11 +104,19 @@ def container_argv(
 
     Args:
         config: The container.
-        binary: The program `component_container`.
+        binary: The program `component_container`, or that of a stock container.
         stop_timeout: Seconds that it gives its nodes when it stops; None for its own default.
         parameter_file: A file with parameters for nodes that are made in it.
     """
     argv = [*config.prefix, os.fspath(binary)]
+    if config.container_type is not ContainerType.STOCK:
+        argv += _own_options(config, stop_timeout)
+    argv += config.arguments
+    return (*argv, *_ros_arguments(config, parameter_file=parameter_file))
+
+
+def _own_options(config: ContainerConfig, stop_timeout: float | None) -> list[str]:
+    argv: list[str] = []
     if config.container_type.is_isolated:
         argv += ["--isolated", "--isolation", str(config.isolation)]
         if config.memory_domains is not MemoryDomains.OFF:
@@ -61,27 +131,7 @@ def container_argv(
         argv += ["--thread_num", str(config.thread_num)]
     if stop_timeout is not None:
         argv += ["--stop_timeout", f"{stop_timeout:g}"]
-    argv += config.arguments
-    return (*argv, *_ros_arguments(config, parameter_file=parameter_file))
-
-
-def probe_argv(package: str, plugin: str, binary: Path) -> tuple[str, ...]:
-    """Make the command line of a scratch process that loads the library of one component.
-
-    Args:
-        package: The package that the component is in.
-        plugin: The class.
-        binary: The program `component_container`.
-    """
-    return (os.fspath(binary), "--probe", package, plugin)
-
-
-def stock_container_argv(
-    config: ContainerConfig, program: Path, parameter_file: Path | None = None
-) -> tuple[str, ...]:
-    """Make the command line of a container that is not our own."""
-    argv = [*config.prefix, os.fspath(program), *config.arguments]
-    return (*argv, *_ros_arguments(config, parameter_file=parameter_file))
+    return argv
 
 
 def process_argv(
@@ -97,7 +147,7 @@ def process_argv(
     Args:
         config: The node.
         executable: What `find_executable` found; needed where `config.command` is None.
-        parameter_file: A file with its parameters, see `write_parameter_file`.
+        parameter_file: A file with its parameters.
 
     Raises:
         ValueError: When neither a command nor an executable is there.
@@ -130,6 +180,29 @@ def find_executable(package: str, executable: str, prefixes: Sequence[Path]) -> 
     raise ExecutableNotFoundError(package, executable, prefixes)
 
 
+_INDEXES: Final = ("play_launch_components", "rclcpp_components")
+"""Types of the ament resources that list components, a line each: `class;library`."""
+
+
+def component_library(package: str, plugin: str, prefixes: Iterable[Path]) -> Path | None:
+    """Find the library of a component in the ament index; None if no index names it.
+
+    Reads files. The first prefix that has the package wins.
+    """
+    for prefix in prefixes:
+        for index in _INDEXES:
+            path = prefix / "share" / "ament_index" / "resource_index" / index / package
+            try:
+                content = path.read_text(encoding="utf-8")
+            except (OSError, ValueError):
+                continue
+            for line in content.splitlines():
+                name, _, library = line.strip().partition(";")
+                if name == plugin and library:
+                    return prefix / library
+    return None
+
+
 def remap_rules(remappings: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     """Write remappings as rules, `from:=to`."""
     return tuple(f"{source}:={target}" for source, target in remappings)
@@ -157,133 +230,65 @@ def _ros_arguments(
     return ["--ros-args", *arguments] if arguments else []
 
 
-_SCALARS = {
-    ParameterType.BOOL: ParameterType.BOOL,
-    ParameterType.INTEGER: ParameterType.INTEGER,
-    ParameterType.DOUBLE: ParameterType.DOUBLE,
-    ParameterType.STRING: ParameterType.STRING,
-    ParameterType.BOOL_ARRAY: ParameterType.BOOL,
-    ParameterType.INTEGER_ARRAY: ParameterType.INTEGER,
-    ParameterType.DOUBLE_ARRAY: ParameterType.DOUBLE,
-    ParameterType.STRING_ARRAY: ParameterType.STRING,
-}
+def container_command(
+    config: ContainerConfig, machine: Machine, parameter_file: Path | None, *, ask: float
+) -> Command:
+    """Make the command of a container that we start; ``ask`` is as in `StopLimits`.
 
-
-class ParameterFileError(Exception):
-    """A parameter cannot be written into a parameter file of ROS."""
-
-    def __init__(self, name: str, reason: str) -> None:
-        super().__init__(f"parameter {name}: {reason}")
-        self.name = name
-
-
-def parameter_file_of(config: ContainerConfig | ProcessConfig) -> str | None:
-    """Make the parameter file of a process; None where it needs none.
-
-    Where other nodes of the process have parameters, those of the node are for its full name alone,
-    as ROS's launch does it, if its name is given on the command line. Else they are for all.
+    Parameters for nodes that are made in it are in the file, if there are any.
 
     Raises:
-        ParameterFileError: As `parameter_file_text`.
+        ExecutableNotFoundError: When a stock container's program is not there.
     """
-    sections = [(each.pattern, each.parameters) for each in config.process_parameters]
-    if isinstance(config, ProcessConfig) and config.parameters:
-        is_named = bool(sections and config.name) and config.command is None
-        sections.append((config.full_name if is_named else FOR_ALL, config.parameters))
-    return parameter_file_text(sections) if sections else None
-
-
-def parameter_file_text(sections: Iterable[tuple[str, Iterable[ParameterConfig]]]) -> str:
-    """Make a parameter file of sections: the full name of a node or a pattern, and parameters.
-
-    rcl's parser guesses types from the spelling, so each value is spelled as the type it has:
-    doubles with a point or an exponent, strings in quotes. Of two values for one name the later
-    one holds.
-
-    Raises:
-        ParameterFileError: For what such a file cannot express: byte arrays, empty arrays, and
-            doubles next to 0 that rcl would read as strings.
-    """
-    values: dict[str, dict[str, yaml.Node]] = {}
-    for pattern, parameters in sections:
-        section = values.setdefault(pattern, {})
-        section.update((each.name, _node(each)) for each in parameters)
-    tree = _mapping(
-        {
-            pattern: _mapping({"ros__parameters": _mapping(section)})
-            for pattern, section in values.items()
-        }
-    )
-    return str(yaml.serialize(tree, width=float("inf"), allow_unicode=True))
-
-
-def write_parameter_file(text: str, directory: Path) -> Path:
-    """Write a parameter file with a name of its own into `directory`; its owner deletes it.
-
-    Raises OSError when it cannot be written.
-    """
-    descriptor, name = tempfile.mkstemp(prefix="parameters-", suffix=".yaml", dir=directory)
-    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-        file.write(text)
-    return Path(name)
-
-
-_MAP = "tag:yaml.org,2002:map"
-_SEQUENCE = "tag:yaml.org,2002:seq"
-_TAGS = {
-    ParameterType.BOOL: "tag:yaml.org,2002:bool",
-    ParameterType.INTEGER: "tag:yaml.org,2002:int",
-    ParameterType.DOUBLE: "tag:yaml.org,2002:float",
-    ParameterType.STRING: "tag:yaml.org,2002:str",
-}
-
-
-def _mapping(values: Mapping[str, yaml.Node]) -> yaml.MappingNode:
-    pairs = [(_scalar(ParameterType.STRING, key), value) for key, value in values.items()]
-    return yaml.MappingNode(_MAP, pairs)
-
-
-def _node(parameter: ParameterConfig) -> yaml.Node:
-    kind, value = parameter.value.type, parameter.value.value
-    if kind not in _SCALARS:
-        raise ParameterFileError(parameter.name, "a parameter file cannot hold a byte array")
-    if not isinstance(value, tuple):
-        if kind is ParameterType.DOUBLE and _is_subnormal(value):
-            raise ParameterFileError(parameter.name, _SUBNORMAL)
-        return _scalar(kind, value)
-    if not value:
-        raise ParameterFileError(
-            parameter.name, "a parameter file cannot hold an empty array, it would have no type"
+    environment = container_environment(config, machine)
+    if config.container_type is ContainerType.STOCK:
+        program = find_executable(config.package, config.executable, ament_prefixes(environment))
+        argv = container_argv(config, program, parameter_file=parameter_file)
+    else:
+        argv = container_argv(
+            config,
+            machine.container,
+            stop_timeout=ask * _CONTAINER_SHARE,
+            parameter_file=parameter_file,
         )
-    items = [_scalar(_SCALARS[kind], item) for item in value]
-    if kind is ParameterType.DOUBLE_ARRAY and any(map(_is_subnormal, value)):
-        raise ParameterFileError(parameter.name, _SUBNORMAL)
-    return yaml.SequenceNode(_SEQUENCE, items, flow_style=True)
+    return Command(argv, environment, config.cwd, resources=config.resources)
 
 
-_SUBNORMAL = f"ROS reads a number nearer to 0 than {sys.float_info.min} as a string"
+def container_environment(config: ContainerConfig, machine: Machine) -> dict[str, str]:
+    """Make the environment of a container, which the index of components is read in as well."""
+    environment = child_environment(machine.environment, machine.ros, config.environment)
+    if config.container_type is ContainerType.STOCK:
+        return with_safe_waits(environment, machine.container)
+    if shares_memory(config):
+        environment = for_isolation(environment, machine.allocator)
+    return environment
 
 
-def _is_subnormal(value: object) -> bool:
-    # strtod(3) reports a range error for them, by which rcl takes them for no number.
-    return isinstance(value, float) and 0 < abs(value) < sys.float_info.min
+def probe_command(
+    container: ContainerConfig, node: ComposableNodeConfig, machine: Machine
+) -> Command:
+    """Make the command of a scratch process like the container itself."""
+    argv = os.fspath(machine.container), "--probe", node.package, node.plugin
+    return Command(argv, container_environment(container, machine))
 
 
-def _scalar(kind: ParameterType, value: object) -> yaml.ScalarNode:
-    if kind is ParameterType.STRING:
-        return yaml.ScalarNode(_TAGS[kind], str(value), style='"')
-    if kind is ParameterType.BOOL:
-        return yaml.ScalarNode(_TAGS[kind], "true" if value else "false")
-    if kind is ParameterType.INTEGER:
-        return yaml.ScalarNode(_TAGS[kind], str(value))
-    return yaml.ScalarNode(_TAGS[kind], _double(float(str(value))))
+def process_command(
+    config: ProcessConfig, machine: Machine, parameter_file: Path | None
+) -> Command:
+    """Make the command of an ordinary node; its parameters are in the file, if it has any.
 
-
-def _double(value: float) -> str:
-    """Spell a double so that both YAML 1.1 and rcl's parser read a double: 1.0, 1.0e+300, .inf."""
-    text = repr(value)
-    if text in {"inf", "-inf", "nan"}:
-        return text.replace("inf", ".inf").replace("nan", ".nan")
-    if "e" in text and "." not in text:
-        return text.replace("e", ".0e")
-    return text
+    Raises:
+        ExecutableNotFoundError: When its package has no such executable.
+        ValueError: When it has neither a command nor an executable.
+    """
+    environment = child_environment(machine.environment, machine.ros, config.environment)
+    executable = None
+    if config.command is None and config.package is not None and config.executable is not None:
+        prefixes = ament_prefixes(environment)
+        executable = find_executable(config.package, config.executable, prefixes)
+    argv = process_argv(config, executable=executable, parameter_file=parameter_file)
+    program = shutil.which(argv[len(config.prefix)], path=environment.get("PATH"))
+    if program is not None:
+        environment = foreign_python_environment(environment, machine.ros, Path(program))
+    environment = with_safe_waits(environment, machine.container)
+    return Command(argv, environment, config.cwd, config.emulate_tty, config.resources)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import shlex
+import socket
 import subprocess
 import sys
 import sysconfig
@@ -12,7 +13,7 @@ import tempfile
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.substitutions import ament_prefixes
-from play_launch.container.channel import ControlChannel, ControlError, control_pair
+from play_launch.container.channel import CONTROL_FD_VARIABLE, ControlChannel, ControlError
 from play_launch.container.command import ExecutableNotFoundError, find_executable
 from play_launch.container.environment import (
     FIX,
@@ -231,20 +232,21 @@ def container(ros: RosInstallation, environ: Mapping[str, str]) -> list[CheckRes
 
 async def _hello(program: Path, environment: Mapping[str, str]) -> Hello | str:
     """Return the container's hello message, or what went wrong."""
-    with tempfile.TemporaryFile() as output, control_pair() as pair:
+    ours, theirs = socket.socketpair()
+    with tempfile.TemporaryFile() as output, ours, theirs:
         try:
             process = subprocess.Popen(  # noqa: ASYNC220 - nothing else runs in this loop
                 [program, "--isolated", "--ros-args", "-r", f"__node:={_NAME}"],
-                env={**environment, **pair.environment},
-                pass_fds=(pair.child_fd,),
+                env={**environment, CONTROL_FD_VARIABLE: str(theirs.fileno())},
+                pass_fds=(theirs.fileno(),),
                 stdout=output,
                 stderr=subprocess.STDOUT,
             )
         except OSError as error:
             return f"cannot be started: {error.strerror}"
-        pair.close_child_end()
+        theirs.close()
         try:
-            channel = ControlChannel(pair.ours, container=f"/{_NAME}")
+            channel = ControlChannel(ours, container=f"/{_NAME}")
             try:
                 async with asyncio.timeout(_HELLO_TIMEOUT):
                     hello = await channel.handshake(Hello(version="doctor"))

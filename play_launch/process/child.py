@@ -12,6 +12,7 @@ import time
 import tty
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -29,13 +30,15 @@ from play_launch.process.session import (
     signal_each,
     wait_all_ended,
 )
+from play_launch.process.stop import stop
 from play_launch.supervisor.events import Stream
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from play_launch.process.cgroups.group import Group
+    from play_launch.process.stop import StopPolicy
 
 INHERITED = 3
 """The number that a child has the one descriptor under that it gets beside its standard streams.
@@ -77,6 +80,12 @@ class Child:
     ) -> None:
         self.argv = tuple(argv)
         self.identity = identity
+        self.pid = identity.pid
+        """It also numbers the process group and the session."""
+        self.start_time = identity.start_time
+        """Clock ticks after boot (`/proc/<pid>/stat`, field 22)."""
+        self.exit: Exit | None = None
+        """How it ended; None while it runs."""
         self._pidfd = pidfd
         self._parent = parent
         self._group = group
@@ -84,7 +93,6 @@ class Child:
         self._was_killed = False
         self._readers = tuple(readers)
         self._loop = asyncio.get_running_loop()
-        self._exit: Exit | None = None
         self._lost_at: float | None = None
         self._exited = asyncio.Event()
         self._holders = 0
@@ -95,30 +103,15 @@ class Child:
         self._loop.add_reader(pidfd, self._on_exit)
 
     @property
-    def pid(self) -> int:
-        """The pid; it also numbers the process group and the session."""
-        return self.identity.pid
-
-    @property
-    def start_time(self) -> int:
-        """Clock ticks after boot (`/proc/<pid>/stat`, field 22)."""
-        return self.identity.start_time
-
-    @property
-    def exit(self) -> Exit | None:
-        """How it ended; None while it runs."""
-        return self._exit
-
-    @property
     def is_running(self) -> bool:
         """Whether its end was not seen yet."""
-        return self._exit is None
+        return self.exit is None
 
     async def wait(self) -> Exit:
         """Wait until the process itself ends. Output and grandchildren may follow: see `gone`."""
         await self._exited.wait()
-        assert self._exit is not None
-        return self._exit
+        assert self.exit is not None
+        return self.exit
 
     async def gone(self) -> Exit:
         """Wait until nothing is left.
@@ -138,7 +131,7 @@ class Child:
             signal.pidfd_send_signal(self._pidfd, number)
         except ProcessLookupError:
             return False
-        return self._exit is None
+        return self.exit is None
 
     def signal_group(self, number: signal.Signals) -> bool:
         """Send a signal to its whole process group; False when that cannot be reached by number."""
@@ -153,6 +146,19 @@ class Child:
         except (ProcessLookupError, PermissionError):  # another user's now (setuid programs)
             return False
         return True
+
+    def kill(self) -> None:
+        """Kill its group; the rest of its session follows when it has exited."""
+        self.signal_group(signal.SIGKILL)
+
+    async def stop(
+        self, policy: StopPolicy, *, ask: Callable[[], bool] | None, hurry: asyncio.Event
+    ) -> bool:
+        """Stop it and its session, see `stop`; False when not even SIGKILL did it in time."""
+        outcome = await stop(self, policy, ask=ask, hurry=hurry)
+        if outcome.stragglers:
+            _log.warning("%r left %d processes, killed", self, outcome.stragglers)
+        return outcome.exit is not None
 
     async def members(self) -> list[ProcessStat]:
         """The other living processes that came of it; none once it is gone.
@@ -203,19 +209,13 @@ class Child:
                 _log.warning("%s (pid %d) has died, but %s traces it and keeps its end", *told)
             await asyncio.sleep(min(_LONGEST_PAUSE, _SHORTEST_PAUSE * 2**asked))
             asked += 1
-        return self._explained(ended)
-
-    def _explained(self, ended: Exit) -> Exit:
         if ended.ok or self._was_killed:
             return ended
-        hint = self._hint_of_group(ended)
+        hint = ""
+        if self._group is not None:
+            is_killed = ended.signal == signal.SIGKILL
+            hint = why_killed(self._group) if is_killed else why_failed(self._group)
         return replace(ended, hint=hint) if hint else explained(ended)
-
-    def _hint_of_group(self, ended: Exit) -> str:
-        if self._group is None:
-            return ""
-        killed = ended.signal == signal.SIGKILL
-        return why_killed(self._group) if killed else why_failed(self._group)
 
     async def _finish(self) -> None:
         exit_ = Exit.lost()
@@ -224,7 +224,7 @@ class Child:
                 exit_ = await self._ended()
             except ChildProcessError:
                 self._lost_at = time.clock_gettime(time.CLOCK_BOOTTIME)
-            self._exit = exit_
+            self.exit = exit_
             self._exited.set()
             await self._unheld.wait()
             await self._kill_rest()
@@ -281,7 +281,7 @@ class Child:
             await self._parent.reap(self.pid)
 
     def __repr__(self) -> str:
-        state = "running" if self._exit is None else str(self._exit)
+        state = "running" if self.exit is None else str(self.exit)
         return f"<Child {self.argv[0]}: pid {self.pid}, start time {self.start_time}, {state}>"
 
 
@@ -376,9 +376,11 @@ async def spawn(
         argv,
         identity,
         pidfd,
-        [_reader(read_end, stream, on_output) for stream, (read_end, _) in pipes.items()]
-        if on_output is not None
-        else [],
+        [
+            LineReader(read_end, partial(on_output, stream))
+            for stream, (read_end, _) in pipes.items()
+            if on_output is not None
+        ],
         parent,
         group=group,
         mark=mark,
@@ -421,10 +423,6 @@ def _terminal() -> tuple[int, int]:
     # What is written arrives as it is: no returns before line ends, nothing echoed.
     tty.setraw(theirs)
     return ours, theirs
-
-
-def _reader(descriptor: int, stream: Stream, on_output: OutputCallback) -> LineReader:
-    return LineReader(descriptor, lambda lines: on_output(stream, lines))
 
 
 def _keep_exit_statuses() -> None:

@@ -192,7 +192,7 @@ class SessionGuard:
         """
         head = (_SPAWN, leaves_by_itself, len(descriptors))
         request = struct.pack(f"={3 + len(descriptors)}i", *head, *descriptors)
-        with _file(_command(argv, env, cwd, settings)) as command, ExitStack() as opened:
+        with _command_file(argv, env, cwd, settings) as command, ExitStack() as opened:
             word, go_ahead = os.pipe()
             for end in (word, go_ahead):
                 opened.callback(os.close, end)
@@ -384,13 +384,13 @@ def _loss() -> OSError:
     return ConnectionResetError(errno.ECONNRESET, "the guard of the session does not answer")
 
 
-def _command(
-    argv: Sequence[str],
-    env: Mapping[str, str],
-    cwd: Path | None = None,
-    settings: Sequence[str] = (),
-) -> bytes:
-    """Write a command as ``container_native/src/spawn_guard/command_file.hpp`` reads it."""
+def _command_file(
+    argv: Sequence[str], env: Mapping[str, str], cwd: Path | None, settings: Sequence[str]
+) -> BinaryIO:
+    """Write a command as ``container_native/src/spawn_guard/command_file.hpp`` reads it.
+
+    It is in memory: a message of the socket would have a limit.
+    """
     variables = [f"{name}={value}" for name, value in env.items()]
     folders = () if cwd is None else (os.fspath(cwd),)
     texts = [os.fsencode(text) for text in (*argv, *variables, *folders, *settings)]
@@ -398,12 +398,7 @@ def _command(
         msg = "embedded null byte"
         raise ValueError(msg)
     counts = struct.pack("=4I", len(argv), len(variables), len(folders), len(settings))
-    return counts + b"".join(text + b"\0" for text in texts)
-
-
-def _file(content: bytes) -> BinaryIO:
-    """Put bytes into a file in memory: a message of the socket would have a limit."""
     file = open(os.memfd_create("command", os.MFD_CLOEXEC), "wb")  # noqa: PTH123, SIM115
-    file.write(content)
+    file.write(counts + b"".join(text + b"\0" for text in texts))
     file.flush()
     return file

@@ -1,20 +1,21 @@
 """The one way in which a process is stopped: ask, SIGINT, SIGTERM, SIGKILL.
 
-`plan` and `left_in_hurry` decide and are pure; `stop` carries it out.
+`plan` decides and is pure; `stop` carries it out.
 """
 
 from __future__ import annotations
 
-import asyncio
 import signal
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+import anyio
 from msgspec import Struct
 
 from play_launch.process.session import signal_each, wait_all_ended
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Callable
 
     from play_launch.process.child import Child
@@ -87,14 +88,6 @@ def plan(policy: StopPolicy, *, can_ask: bool) -> tuple[StopStep, ...]:
     return (*gentle, StopStep(StopLevel.SIGKILL, policy.sigkill))
 
 
-def left_in_hurry(policy: StopPolicy, step: StopStep, elapsed: float) -> float:
-    """Seconds that a step has left when the stop is hurried `elapsed` seconds into it."""
-    left = step.limit - elapsed
-    if step.level is not StopLevel.SIGKILL:
-        left = min(left, policy.hurried)
-    return max(0.0, left)
-
-
 async def stop(
     child: Child,
     policy: StopPolicy,
@@ -163,30 +156,21 @@ async def _session_ended(
 ) -> None:
     """Wait for the end of the whole session, as long as the step allows."""
 
-    async def ended() -> None:
-        ends_now = child.is_running
-        await child.wait()
-        rest = await child.members()
-        if ends_now:
-            _end_strays(child, rest)
-        while rest:
-            await wait_all_ended([member.identity for member in rest])
-            rest = await child.members()
+    async def shorten(hurry: asyncio.Event) -> None:
+        await hurry.wait()
+        limit.deadline = min(limit.deadline, anyio.current_time() + policy.hurried)
 
-    loop = asyncio.get_running_loop()
-    began = loop.time()
-    ending = asyncio.ensure_future(ended())
-    waits: set[asyncio.Future[Any]] = {ending}
-    if hurry is not None:
-        waits.add(asyncio.ensure_future(hurry.wait()))
-    try:
-        await asyncio.wait(waits, timeout=step.limit, return_when=asyncio.FIRST_COMPLETED)
-        if hurry is not None and hurry.is_set() and not ending.done():
-            left = left_in_hurry(policy, step, loop.time() - began)
-            await asyncio.wait({ending}, timeout=left)
-        if ending.done():
-            ending.result()  # an error in here must not look like a limit that ran out
-    finally:
-        for task in waits:
-            task.cancel()
-        await asyncio.gather(*waits, return_exceptions=True)
+    with anyio.move_on_after(step.limit) as limit:
+        async with anyio.create_task_group() as tasks:
+            # The kernel gets its time: afterwards nothing would check any more.
+            if hurry is not None and step.level is not StopLevel.SIGKILL:
+                tasks.start_soon(shorten, hurry)
+            ends_now = child.is_running
+            await child.wait()
+            rest = await child.members()
+            if ends_now:
+                _end_strays(child, rest)
+            while rest:
+                await wait_all_ended([member.identity for member in rest])
+                rest = await child.members()
+            tasks.cancel_scope.cancel()

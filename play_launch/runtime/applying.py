@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.node_key import NodeKey
-from play_launch.runtime.commands import StartError
+from play_launch.runtime.launcher import StartError
 from play_launch.supervisor.conditions import absent_units
 from play_launch.supervisor.inputs import ChangeRequested, ParametersSet
 from play_launch.supervisor.plan import Applied, Need, PlanKind, Result, StepOutcome, after, plan
@@ -111,9 +110,9 @@ class Applying:
                 await self._system.launcher.prepare(target)
         except StartError as error:
             problem = str(error)
-        if not problem:
+        else:
             self._target = target
-            self._system.use_rules(target)
+            self._system.outside.expect(target.start_rules.values())
             self._system.post(ChangeRequested(target, found.phases(), limit))
             await self._system.until(lambda: self._system.world.change is None)
         done = {each.step.id for each in self._outcomes}
@@ -134,11 +133,8 @@ class Applying:
         self._outcomes.append(outcome)
         self._on_outcome(outcome)
 
-    def set_parameters(self, step: Step) -> None:
+    async def set_parameters(self, step: Step) -> None:
         """Set the parameters that a step names."""
-        self._system.begin_task(partial(self._set, step))
-
-    async def _set(self, step: Step) -> None:
         prefix = "parameters."
         names = {
             change.path.removeprefix(prefix) for change in step.changes if change.need is Need.SET
@@ -149,9 +145,7 @@ class Applying:
         if step.kind is PlanKind.COMPONENT:
             key = NodeKey.parsed(step.name)
             member, node = key.container, key.name
-        containers, processes = self._target.containers, self._target.nodes
-        environments = {each.full_name: each.environment for each in containers}
-        environments |= {each.full_name: each.environment for each in processes}
+        environments = {each.full_name: each.environment for each in self._target.members}
         try:
             refusal = await self._parameters.set(node, chosen, dict(environments[member]))
         except Exception as error:  # noqa: BLE001 - the node is replaced instead

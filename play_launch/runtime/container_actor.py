@@ -13,7 +13,6 @@ from play_launch.container.channel import ChannelClosedError, ControlError, Vers
 from play_launch.container.codec import EncodeError
 from play_launch.container.messages import Hello as HelloMessage
 from play_launch.container.messages import Shutdown, Status, lock_holder
-from play_launch.runtime.commands import StartError
 from play_launch.runtime.container_messages import (
     Queries,
     description,
@@ -21,6 +20,7 @@ from play_launch.runtime.container_messages import (
     isolation_shortfall,
     load_request,
 )
+from play_launch.runtime.launcher import StartError
 from play_launch.runtime.probes import probe_nodes
 from play_launch.runtime.process_actor import ProcessActor
 from play_launch.runtime.publisher import report_shortfalls
@@ -90,7 +90,7 @@ class ContainerActor(ProcessActor):
     def _has_started(self, start: int) -> None:
         assert self._link is not None
         listen = partial(self._listen, self._link, start, self._has_ended)
-        self._listening = self._begin_task(listen)
+        self._listening = self._system.tasks.begin(listen, self.name)
 
     def _ask_to_stop(self, reason: str) -> bool:
         if self._link is None:
@@ -137,7 +137,7 @@ class ContainerActor(ProcessActor):
     async def _listen(self, link: ControlLink, start: int, has_ended: anyio.Event) -> None:
         """Post what the container sends, up to the end of the channel."""
         try:
-            self._on_hello(await link.handshake(self._system.launcher.hello()), start)
+            self._on_hello(await link.handshake(self._system.launcher.hello), start)
             while True:
                 self._on_message(await link.receive(), start)
         except VersionMismatchError as error:
@@ -162,7 +162,9 @@ class ContainerActor(ProcessActor):
         pid = hello.pid or self.pid
         if is_first and not config.prefix:  # a debugger may stop it
             self._watch = ContainerWatch(self.name, self.send, pid)
-            self._watching = self._begin_task(partial(self._watch_it, self._watch, start))
+            self._watching = self._system.tasks.begin(
+                partial(self._watch_it, self._watch, start), self.name
+            )
         facts = Hello(mechanism=hello.mechanism, description=description(hello))
         self._system.post(Greeted(self.name, start, facts))
         if not is_first:
@@ -250,7 +252,7 @@ class ContainerActor(ProcessActor):
     def probe(self, nodes: Sequence[NodeKey]) -> None:
         """Load the libraries of nodes in scratch processes."""
         probe = partial(probe_nodes, self._system, self.config, tuple(nodes))
-        self._probes.append(self._begin_task(probe))
+        self._probes.append(self._system.tasks.begin(probe, self.name))
 
     def stop(self, start: int, *, asks: bool, reason: str) -> None:
         """Stop its process, from gentle to hard, and end its scratch processes."""

@@ -6,24 +6,39 @@ import asyncio
 import errno
 import logging
 import os
-import signal
-from contextlib import ExitStack
-from typing import TYPE_CHECKING, Final, Protocol
+import socket
+import time
+from contextlib import ExitStack, suppress
+from functools import partial
+from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from play_launch.config.model import ContainerType
+from play_launch.config.model import ContainerConfig, ContainerType
 from play_launch.config.substitutions import ament_prefixes
-from play_launch.container.channel import CONTROL_FD_VARIABLE, ControlChannel, control_pair
-from play_launch.container.command import ExecutableNotFoundError
+from play_launch.container.channel import CONTROL_FD_VARIABLE, ControlChannel
+from play_launch.container.command import (
+    ExecutableNotFoundError,
+    Machine,
+    allocator_for,
+    component_library,
+    container_command,
+    container_environment,
+    probe_command,
+    process_command,
+    shares_memory,
+)
 from play_launch.container.messages import Hello
+from play_launch.container.parameter_files import ParameterFileError, ParameterFiles
 from play_launch.container.ros import (
     NotInstalledError,
     component_container,
     ros_installation,
     spawn_guard,
 )
-from play_launch.process.cgroups.group import GroupError
+from play_launch.process.cgroups.group import Group, GroupError
+from play_launch.process.cgroups.session import SessionGroups
+from play_launch.process.cgroups.usage import usage_of
 from play_launch.process.child import INHERITED, spawn
 from play_launch.process.guard import SessionGuard
 from play_launch.process.identity import read_stat
@@ -36,41 +51,29 @@ from play_launch.process.machine import (
 )
 from play_launch.process.program import SpawnError
 from play_launch.process.session import Shared
-from play_launch.process.stop import StopPolicy, stop
+from play_launch.process.stop import StopPolicy
 from play_launch.recording.facts import OURSELVES, package_version
+from play_launch.ros.fastdds.middleware import asks_for_fastdds
 from play_launch.ros.fastdds.shared_memory import sweep_command, sweep_shared_memory
-from play_launch.runtime.commands import (
-    Machine,
-    MemberGroups,
-    ParameterFiles,
-    StartError,
-    allocator_for,
-    container_command,
-    container_environment,
-    participants,
-    probe_command,
-    process_command,
-    uses_fastdds,
-)
-from play_launch.runtime.probes import component_library
+from play_launch.supervisor.events import SubjectKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from play_launch.config.model import (
         ComposableNodeConfig,
-        ContainerConfig,
         ProcessConfig,
         ReplayConfig,
     )
-    from play_launch.container.messages import Incoming, Outgoing
+    from play_launch.container.command import Command
     from play_launch.process.child import Child
-    from play_launch.process.exit import Exit
     from play_launch.process.lines import OutputCallback
-    from play_launch.runtime.commands import Command
-    from play_launch.runtime.stock_containers import StockContainers
+    from play_launch.runtime.stock_containers import AttachedContainer, StockContainers
+    from play_launch.runtime.stock_link import StockLink
     from play_launch.supervisor.events import GroupSample
+
+    ManagedProcess = Child | AttachedContainer
+    ControlLink = ControlChannel | StockLink
 
 _log = logging.getLogger(__name__)
 
@@ -80,101 +83,89 @@ _PASSING: Final = frozenset(
 """Errors of a start that may not be there the next time."""
 
 
-class ManagedProcess(Protocol):
-    """`NativeProcess`, or the process of a container that another program started."""
+class StartError(Exception):
+    """A process could not be started.
 
-    @property
-    def pid(self) -> int: ...
+    Attributes:
+        permanent: Whether the next try would fail in the same way.
+    """
 
-    @property
-    def start_time(self) -> int: ...
-
-    @property
-    def argv(self) -> tuple[str, ...]: ...
-
-    async def wait(self) -> Exit: ...
-
-    async def gone(self) -> Exit: ...
-
-    def kill(self) -> None: ...
-
-    async def stop(self, *, ask: Callable[[], bool] | None, hurry: asyncio.Event) -> bool: ...
+    def __init__(self, reason: str, *, permanent: bool) -> None:
+        super().__init__(reason)
+        self.permanent = permanent
 
 
-class ControlLink(Protocol):
-    """`ControlChannel`, or a stock container's services."""
+class MemberGroups(SessionGroups):
+    """Control groups of the session of this process; there are none yet."""
 
-    async def handshake(self, hello: Hello) -> Hello: ...
+    def __init__(self, publish: Callable[[GroupSample], None]) -> None:
+        """``publish`` takes the last numbers of each."""
+        super().__init__()
+        self._publish = publish
+        self._entrusted: tuple[SessionGuard, int] | None = None
 
-    async def receive(self) -> Incoming: ...
+    def entrust(self, guard: SessionGuard) -> None:
+        """Have the guard remove them if the supervisor dies; once for each guard and group."""
+        folder = self.folder
+        if folder is None:
+            return
+        entrusted = guard, Group(folder).number  # it may have been removed, and made anew
+        if entrusted != self._entrusted:
+            self._entrusted = entrusted
+            with suppress(OSError):  # removed by another process
+                guard.entrust(folder)
 
-    def send(self, message: Outgoing) -> None: ...
+    def prepare(self, config: ReplayConfig) -> None:
+        """Have groups, if the configuration asks for any; raises GroupError where it has to."""
+        limits = [
+            *(each.resources.group for each in config.members),
+            *(node.resources.group for each in config.containers for node in each.composable_nodes),
+        ]
+        is_enabled = config.cgroups.enabled
+        if any(limits) if is_enabled is None else is_enabled:
+            controllers = (each.controllers() for each in limits)
+            self.begin(config.cgroups, frozenset().union(*controllers))
 
-    def close(self) -> None: ...
+    def of(self, config: ContainerConfig | ProcessConfig) -> tuple[Group | None, tuple[str, ...]]:
+        """Make that of a process; gives it and what the process asks for. Raises StartError."""
+        if self.folder is None:
+            return None, ()
+        kind, has_nodes = SubjectKind.PROCESS, False
+        if isinstance(config, ContainerConfig):
+            kind, has_nodes = SubjectKind.CONTAINER, config.container_type.is_isolated
+        name, limits = config.full_name, config.resources.group
+        used = partial(self._used, kind, name)
+        try:
+            made = self.member(name, limits, has_nodes=has_nodes, on_end=used)
+        except GroupError as error:
+            raise StartError(str(error), permanent=True) from error
+        return (None, ()) if made is None else (made[0], (made[1],))
 
+    def enter(self, config: ComposableNodeConfig, attempt: int) -> tuple[str, ...]:
+        """Make that of a node; gives what its process asks for. Raises StartError."""
+        if self.folder is None:
+            return ()
+        key, limits = config.key, config.resources.group
+        used = partial(self._used, SubjectKind.NODE, str(key))
+        try:
+            entry = self.node(key.container, key.name, attempt, limits, used)
+        except GroupError as error:
+            raise StartError(str(error), permanent=True) from error
+        return () if entry is None else (entry,)
 
-class NativeProcess:
-    """A child and the policy that stops it."""
-
-    def __init__(self, child: Child, policy: Callable[[], StopPolicy]) -> None:
-        self.pid, self.start_time, self.argv = child.pid, child.start_time, child.argv
-        self._child = child
-        self._policy = policy
-
-    async def wait(self) -> Exit:
-        """Wait until the process itself has exited."""
-        return await self._child.wait()
-
-    async def gone(self) -> Exit:
-        """Wait until its descendants have exited and its output is read, too."""
-        return await self._child.gone()
-
-    def kill(self) -> None:
-        """Kill its group; the rest of its session follows when it has exited."""
-        self._child.signal_group(signal.SIGKILL)
-
-    async def stop(self, *, ask: Callable[[], bool] | None, hurry: asyncio.Event) -> bool:
-        """Stop it and its session; False when not even SIGKILL did it in time."""
-        outcome = await stop(self._child, self._policy(), ask=ask, hurry=hurry)
-        if outcome.stragglers:
-            _log.warning("%r left %d processes, killed", self._child, outcome.stragglers)
-        return outcome.exit is not None
+    def _used(self, kind: SubjectKind, key: str, group: Group) -> None:
+        """Report what a group used all in all."""
+        usage = usage_of(group)
+        _log.info("the control group %s used %s", group.path.name, usage)
+        self._publish(usage.sample(time.time_ns(), kind, key, group.number))
 
 
 class NativeLauncher:
     """Starts containers of our own and ordinary executables of this machine."""
 
     def __init__(
-        self,
-        *,
-        machine: Machine,
-        guard: Path,
-        policy: StopPolicy,
-        parameters: ParameterFiles,
-        stock: StockContainers | None = None,
-        uses_fastdds: bool = True,
-        publish: Callable[[GroupSample], None] = lambda _: None,
+        self, config: ReplayConfig, publish: Callable[[GroupSample], None] = lambda _: None
     ) -> None:
-        """Take the facts about this machine, see `of`."""
-        self._stock = stock
-        self._uses_fastdds = uses_fastdds
-        self._machine = machine
-        self._guard_program = guard
-        self._guards: list[SessionGuard] = []
-        self._policy = policy
-        self._parameters = parameters
-        self._sweeps = Shared(self._sweep)
-        self.groups = MemberGroups(publish)
-        self._hello = Hello(
-            version=package_version(OURSELVES) or "unknown",
-            pid=os.getpid(),
-            start_time=read_stat(os.getpid()).start_time,
-        )
-
-    @classmethod
-    def of(
-        cls, config: ReplayConfig, publish: Callable[[GroupSample], None] = lambda _: None
-    ) -> NativeLauncher:
         """Find everything that the system needs; reads folders, writes files.
 
         ``publish`` takes the last numbers of control groups, in the loop's thread.
@@ -184,45 +175,64 @@ class NativeLauncher:
             MixedInstallationError: When ROS is there twice.
             GroupError: When there are no control groups, which are required.
         """
-        ros = ros_installation()
-        container, guard = component_container(), spawn_guard()
-        is_fastdds = uses_fastdds(config, os.environ)
-        short = is_fastdds and shared_memory_problem(shared_memory_room(), participants(config))
-        if short:
-            _log.warning("%s", short)
-        launcher = cls(
-            machine=Machine(ros, container, os.environ, _allocator(config)),
-            guard=guard,
-            policy=_policy(config),
-            parameters=ParameterFiles((*config.containers, *config.nodes)),
-            stock=_stock_containers(config),
-            uses_fastdds=is_fastdds,
-            publish=publish,
+        self._machine = Machine(ros_installation(), component_container(), os.environ)
+        self._guard_program = spawn_guard()
+        self._guards: list[SessionGuard] = []
+        self._parameters = ParameterFiles()
+        self._stock: StockContainers | None = None
+        self._uses_fastdds = False
+        self._sweeps = Shared(self._sweep)
+        self.policy = StopPolicy()
+        self.groups = MemberGroups(publish)
+        self.hello = Hello(
+            version=package_version(OURSELVES) or "unknown",
+            pid=os.getpid(),
+            start_time=read_stat(os.getpid()).start_time,
         )
-        launcher.groups.prepare(config)
-        return launcher
+        """What the supervisor says to each container first."""
+        self._prepare(config)
+        if self._uses_fastdds and (
+            short := shared_memory_problem(shared_memory_room(), _participants(config))
+        ):
+            _log.warning("%s", short)
 
     async def prepare(self, config: ReplayConfig) -> None:
         """Get ready for what a changed system needs; raises StartError."""
-        self._uses_fastdds = self._uses_fastdds or uses_fastdds(config, os.environ)
-        members: tuple[ContainerConfig | ProcessConfig, ...] = (*config.containers, *config.nodes)
-        await asyncio.to_thread(self._parameters.write, members)
-        if self._machine.allocator is None:
-            allocator = await asyncio.to_thread(_allocator, config)
-            self._machine = replace(self._machine, allocator=allocator)
         try:
-            await asyncio.to_thread(self.groups.prepare, config)
-            if self._stock is None:
-                self._stock = await asyncio.to_thread(_stock_containers, config)
-            else:
-                await asyncio.to_thread(self._stock.extend, config)
+            await asyncio.to_thread(self._prepare, config)
         except (GroupError, NotInstalledError) as error:
             raise StartError(str(error), permanent=True) from error
-        self._policy = _policy(config)
 
-    def hello(self) -> Hello:
-        """Give the hello of the supervisor."""
-        return self._hello
+    def _prepare(self, config: ReplayConfig) -> None:
+        self._parameters.write(config.members)
+        if self._machine.allocator is None:
+            found = allocator_for(config)
+            if found.problem:  # once for the whole system
+                _log.warning("%s", found.problem)
+            self._machine = replace(self._machine, allocator=found.library)
+        self._prepare_stock(config)
+        self.groups.prepare(config)
+        limits = config.stop
+        self.policy = StopPolicy(ask=limits.ask, sigint=limits.sigint, sigterm=limits.sigterm)
+        self._uses_fastdds |= any(
+            asks_for_fastdds({**os.environ, **each.environment}) for each in config.members
+        )
+
+    def _prepare_stock(self, config: ReplayConfig) -> None:
+        if all(each.container_type is not ContainerType.STOCK for each in config.containers):
+            return
+        if self._stock is None:
+            if problem := full_shared_memory(shared_memory_room()):
+                # It may have filled up since the start. Loading rcl is what maps it, and SIGBUS
+                # would end the supervisor without a word: no handler reaches the thread that gets
+                # it.
+                fix = f"nothing was started; fix: {SHARED_MEMORY_FIX}"
+                raise NotInstalledError(f"{problem}; {fix}")
+            # A quarter of all modules of ours, for one type of container.
+            from play_launch.runtime.stock_containers import StockContainers  # noqa: PLC0415
+
+            self._stock = StockContainers()
+        self._stock.extend(config)
 
     async def start_container(
         self, config: ContainerConfig, on_output: OutputCallback
@@ -233,8 +243,8 @@ class NativeLauncher:
             return self._stock.attach(config)
         try:
             file = self._parameters.of(config)
-            command = container_command(config, self._machine, file, ask=self._policy.ask)
-        except ExecutableNotFoundError as error:
+            command = container_command(config, self._machine, file, ask=self.policy.ask)
+        except (ExecutableNotFoundError, ParameterFileError) as error:
             raise StartError(str(error), permanent=True) from error
         if config.container_type is ContainerType.STOCK:
             assert self._stock is not None
@@ -245,16 +255,17 @@ class NativeLauncher:
                 process.kill()
                 raise
         try:
-            pair = control_pair()
+            ours, theirs = socket.socketpair()
         except OSError as error:
             raise StartError(f"no control channel: {error.strerror}", permanent=False) from error
         with ExitStack() as opened:
-            opened.callback(pair.close)
-            command = command.with_variables({CONTROL_FD_VARIABLE: str(INHERITED)})
-            process = await self._spawn(command, on_output, config, control_fd=pair.child_fd)
-            pair.close_child_end()
+            opened.callback(ours.close)
+            environment = {**command.environment, CONTROL_FD_VARIABLE: str(INHERITED)}
+            command = replace(command, environment=environment)
+            with theirs:  # as long as we hold it as well, the end of the stream never comes
+                process = await self._spawn(command, on_output, config, control_fd=theirs.fileno())
             opened.pop_all()
-        return process, ControlChannel(pair.ours, container=config.full_name)
+        return process, ControlChannel(ours, container=config.full_name)
 
     async def library_of(self, container: ContainerConfig, node: ComposableNodeConfig) -> str:
         """Find the library in the ament index that the container uses; empty: it has none."""
@@ -264,17 +275,15 @@ class NativeLauncher:
 
     async def start_probe(
         self, container: ContainerConfig, node: ComposableNodeConfig, on_output: OutputCallback
-    ) -> NativeProcess:
+    ) -> Child:
         """Start a scratch process like the container itself; raises StartError."""
         return await self._spawn(probe_command(container, node, self._machine), on_output)
 
-    async def start_process(
-        self, config: ProcessConfig, on_output: OutputCallback
-    ) -> NativeProcess:
+    async def start_process(self, config: ProcessConfig, on_output: OutputCallback) -> Child:
         """Start an ordinary executable; raises StartError."""
         try:
             command = process_command(config, self._machine, self._parameters.of(config))
-        except (ExecutableNotFoundError, ValueError) as error:
+        except (ExecutableNotFoundError, ParameterFileError, ValueError) as error:
             raise StartError(str(error), permanent=True) from error
         return await self._spawn(command, on_output, config)
 
@@ -312,7 +321,7 @@ class NativeLauncher:
         config: ContainerConfig | ProcessConfig | None = None,
         *,
         control_fd: int | None = None,
-    ) -> NativeProcess:
+    ) -> Child:
         group, entry = (None, ()) if config is None else self.groups.of(config)
         try:
             # One that is lost is kept: what it has started would end with it.
@@ -320,7 +329,7 @@ class NativeLauncher:
                 guard = SessionGuard.start(self._guard_program, afterwards=sweep_command())
                 self._guards.append(guard)
             self.groups.entrust(self._guards[-1])
-            child = await spawn(
+            return await spawn(
                 command.argv,
                 env=command.environment,
                 cwd=command.cwd,
@@ -338,30 +347,13 @@ class NativeLauncher:
             raise StartError(str(error), permanent=error.errno not in _PASSING) from error
         except OSError as error:
             raise StartError(f"no guard: {error.strerror}", permanent=False) from error
-        return NativeProcess(child, lambda: self._policy)
 
 
-def _policy(config: ReplayConfig) -> StopPolicy:
-    limits = config.stop
-    return StopPolicy(ask=limits.ask, sigint=limits.sigint, sigterm=limits.sigterm)
+def _participants(config: ReplayConfig) -> int:
+    """Count the participants of DDS, if each process is one.
 
-
-def _stock_containers(config: ReplayConfig) -> StockContainers | None:
-    if all(each.container_type is not ContainerType.STOCK for each in config.containers):
-        return None
-    if problem := full_shared_memory(shared_memory_room()):
-        # It may have filled up since the start. Loading rcl is what maps it, and SIGBUS would end
-        # the supervisor without a word: no handler reaches the thread that gets it.
-        raise NotInstalledError(f"{problem}; nothing was started; fix: {SHARED_MEMORY_FIX}")
-    # A quarter of all modules of ours, for one type of container.
-    from play_launch.runtime.stock_containers import StockContainers  # noqa: PLC0415
-
-    return StockContainers.of(config)
-
-
-def _allocator(config: ReplayConfig) -> Path | None:
-    """Find what isolated containers allocate with; complain once for the whole system."""
-    found = allocator_for(config)
-    if found.problem:
-        _log.warning("%s", found.problem)
-    return found.library
+    A node with memory of its own is one of its own; the others share their container's.
+    """
+    isolated = [each for each in config.containers if each.container_type.is_isolated]
+    apart = sum(len(each.composable_nodes) for each in isolated if not shares_memory(each))
+    return len(config.containers) + len(config.nodes) + apart

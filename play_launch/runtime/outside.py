@@ -6,7 +6,6 @@ import asyncio
 import logging
 import os.path
 import re
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import anyio
@@ -16,7 +15,7 @@ from play_launch.supervisor.events import ManagedState, OutputLine
 from play_launch.supervisor.inputs import Found, GoalReported, ManagedInput
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
 
     from play_launch.config.dependency import Dependency, StartRule
     from play_launch.ros.access import GraphSource
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import RunEvent
     from play_launch.supervisor.view import SystemView
-    from play_launch.supervisor.world import Goal
 
 _log = logging.getLogger(__name__)
 
@@ -137,111 +135,81 @@ async def _exists(path: str) -> bool:
     return await anyio.to_thread.run_sync(os.path.exists, path, abandon_on_cancel=True)
 
 
-class _Conversation:
-    """With one node instance."""
+class Conversation:
+    """With one instance of a managed (lifecycle) node: states are inputs, transitions effects."""
 
-    def __init__(self, instance: int, scope: anyio.CancelScope) -> None:
+    def __init__(self, system: System, unit: str, instance: int) -> None:
         self.instance = instance
-        self.to_do: asyncio.Queue[ManagedState] = asyncio.Queue()
-        self.scope = scope
-
-
-class Conversations:
-    """With managed (lifecycle) nodes: their states are inputs, transitions effects."""
-
-    def __init__(self, system: System) -> None:
         self._system = system
-        self._open: dict[str, _Conversation] = {}
+        self._unit = unit
+        self._goal = system.world.goals[unit]
+        self._to_do: asyncio.Queue[ManagedState] = asyncio.Queue()
+        self._known: ManagedInput | None = None
+        self._scope = system.tasks.begin(self._converse, unit)
 
-    def drive(self, unit: str, instance: int, to: ManagedState) -> None:
-        """Begin a conversation with a node, request a transition, or end the conversation."""
-        talk = self._open.get(unit)
-        if to in _TRANSITIONS:
-            if talk is not None and talk.instance == instance:
-                talk.to_do.put_nowait(to)
-            return
-        if talk is not None:
-            talk.scope.cancel()
-            del self._open[unit]
-        if to is ManagedState.ASKED:
-            scope = self._system.begin_task(partial(self._converse, unit))
-            self._open[unit] = _Conversation(instance, scope)
+    def transit(self, to: ManagedState) -> None:
+        """Request a transition."""
+        self._to_do.put_nowait(to)
 
-    def _report(self, unit: str, talk: _Conversation, said: ManagedInput, reason: str = "") -> None:
-        if self._open.get(unit) is talk:
-            self._system.post(GoalReported(unit, talk.instance, said, reason))
+    def end(self) -> None:
+        """Cancel all requests: the node exited, or is not managed any more."""
+        self._scope.cancel()
 
-    async def _converse(self, unit: str) -> None:
-        """Drive one node instance; cancelled when the node exits.
+    def _report(self, said: ManagedInput, reason: str = "") -> None:
+        if not self._scope.cancel_called:
+            self._system.post(GoalReported(self._unit, self.instance, said, reason))
 
-        An exception is a failure of this node, unless it is not managed any more.
-        """
-        goal, talk = self._system.world.goals[unit], self._open[unit]
+    async def _converse(self) -> None:
+        """Drive the node; an exception is a failure of this node."""
+        name = self._goal.config.name
         try:
-            await self._talk(unit, goal, talk)
+            async with self._system.ros.managed_node(name, self._accept) as client:
+                await self._talk(client)
         except Exception as error:  # noqa: BLE001 - the others go on
-            _log.warning("%s cannot be talked to: %s", goal.config.name, error)
-            self._report(unit, talk, ManagedInput.REFUSED, str(error))
+            _log.warning("%s cannot be talked to: %s", name, error)
+            self._report(ManagedInput.REFUSED, str(error))
 
-    async def _talk(self, unit: str, goal: Goal, talk: _Conversation) -> None:
+    def _accept(self, number: int) -> None:
+        said = _INPUT_OF_STATE.get(number)
+        if said is not None:
+            self._known = said
+            state = self._system.world.goals.get(self._unit, self._goal).state
+            under_way = _TRANSITIONS.get(state)
+            how = f"its transition {under_way[0]} led to" if under_way else "it is in"
+            self._report(said, f"{how} the state {said.removeprefix('is_')}")
+
+    async def _talk(self, client: ManagedNodeClient) -> None:
         """Request its state, and then one transition after the other."""
-        known: ManagedInput | None = None
+        name, limit = self._goal.config.name, self._goal.config.timeout
+        with anyio.move_on_after(limit) as asking:
+            self._accept(await client.state())
+        if asking.cancelled_caught:
+            reason = (
+                "its lifecycle services did not answer"
+                if client.is_offered
+                else f"the service {name}/get_state was not available"
+            )
+            self._report(ManagedInput.OVERDUE, f"{reason} within {limit:g} s")
+        while True:
+            transition, number, leads_to = _TRANSITIONS[await self._next_transition(client)]
+            said = ManagedInput.OVERDUE
+            reason = f"its transition {transition} took longer than {limit:g} s"
+            with anyio.move_on_after(limit):
+                if await client.change(number):
+                    said, reason = leads_to, ""
+                    self._known = said
+                else:
+                    said, reason = ManagedInput.REFUSED, f"its transition {transition} failed"
+            self._report(said, reason)
 
-        def accept(state: int) -> None:
-            nonlocal known
-            said = _INPUT_OF_STATE.get(state)
-            if said is not None:
-                known = said
-                now = self._system.world.goals.get(unit, goal).state
-                under_way = _TRANSITIONS.get(now)
-                how = f"its transition {under_way[0]} led to" if under_way else "it is in"
-                reason = f"{how} the state {said.removeprefix('is_')}"
-                self._report(unit, talk, said, reason)
-
-        def check(state: int) -> None:
-            # A transition that failed leads back to where it began, which is no news.
-            if _INPUT_OF_STATE.get(state) is not known:
-                accept(state)
-
-        name, limit = goal.config.name, goal.config.timeout
-        async with self._system.ros.managed_node(name, accept) as client:
-            with anyio.move_on_after(limit) as asking:
-                accept(await client.state())
-            if asking.cancelled_caught:
-                reason = (
-                    "its lifecycle services did not answer"
-                    if client.is_offered
-                    else f"the service {name}/get_state was not available"
-                )
-                reason = f"{reason} within {limit:g} s"
-                self._report(unit, talk, ManagedInput.OVERDUE, reason)
-            while True:
-                to = await _next_transition(talk, client, check, limit)
-                said, reason = await _change(client, to, limit)
-                if said is _TRANSITIONS[to][2]:
-                    known = said
-                self._report(unit, talk, said, reason)
-
-
-async def _next_transition(
-    talk: _Conversation, client: ManagedNodeClient, on_state: Callable[[int], None], limit: float
-) -> ManagedState:
-    """Give the next transition; check the state of an idle node a few times."""
-    for pause in _CHECKS:
-        with anyio.move_on_after(pause):
-            return await talk.to_do.get()
-        with anyio.move_on_after(limit):
-            on_state(await client.state())
-    return await talk.to_do.get()
-
-
-async def _change(
-    client: ManagedNodeClient, to: ManagedState, limit: float
-) -> tuple[ManagedInput, str]:
-    """Request a transition and give it ``limit`` seconds; give its result, and why it failed."""
-    name, transition, leads_to = _TRANSITIONS[to]
-    with anyio.move_on_after(limit):
-        if await client.change(transition):
-            return leads_to, ""
-        return ManagedInput.REFUSED, f"its transition {name} failed"
-    return ManagedInput.OVERDUE, f"its transition {name} took longer than {limit:g} s"
+    async def _next_transition(self, client: ManagedNodeClient) -> ManagedState:
+        """Give the next transition; check the state of an idle node a few times."""
+        for pause in _CHECKS:
+            with anyio.move_on_after(pause):
+                return await self._to_do.get()
+            with anyio.move_on_after(self._goal.config.timeout):
+                state = await client.state()
+                # A transition that failed leads back to where it began, which is no news.
+                if _INPUT_OF_STATE.get(state) is not self._known:
+                    self._accept(state)
+        return await self._to_do.get()

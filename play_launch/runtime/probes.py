@@ -12,13 +12,12 @@ from msgspec.json import Decoder
 from msgspec.structs import replace
 
 from play_launch.process.exit import Exit
-from play_launch.runtime.commands import StartError
+from play_launch.runtime.launcher import StartError
 from play_launch.supervisor.events import Stream
 from play_launch.supervisor.inputs import Probed, ProbeResult
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-    from pathlib import Path
 
     from play_launch.config.model import ComposableNodeConfig, ContainerConfig
     from play_launch.config.node_key import NodeKey
@@ -39,8 +38,6 @@ _UNUSABLE: Final = frozenset({64, 125, 126, 127})
 """Exit codes of a program that did not understand its arguments, or was never executed."""
 _QUOTES: Final = 4
 """Quotation marks up to the end of the last whole entry of a list that was cut."""
-_INDEXES: Final = ("play_launch_components", "rclcpp_components")
-"""Types of the ament resources that list components, a line each: `class;library`."""
 
 
 async def probe_nodes(system: System, container: ContainerConfig, keys: Sequence[NodeKey]) -> None:
@@ -100,7 +97,10 @@ async def probe_library(
                 await _wait(process, name, limit)
         finally:
             process.kill()
-            await _gone(process)
+            with anyio.move_on_after(_GONE_TIMEOUT, shield=True) as exiting:
+                await process.gone()
+            if exiting.cancelled_caught:
+                _log.error("the scratch process %d does not exit", process.pid)
     if scope.cancelled_caught:
         return ProbeResult(error=f"its library was still being loaded after {limit:g} s")
     exit_ = await process.wait()
@@ -115,13 +115,6 @@ async def _wait(process: ManagedProcess, name: str, limit: float) -> None:
             return
         text = "%s: its library has been loading in a scratch process (pid %d) for %.0f s of %.0f s"
         _log.warning(text, name, process.pid, anyio.current_time() - began, limit)
-
-
-async def _gone(process: ManagedProcess) -> None:
-    with anyio.move_on_after(_GONE_TIMEOUT, shield=True) as scope:
-        await process.gone()
-    if scope.cancelled_caught:
-        _log.error("the scratch process %d does not exit", process.pid)
 
 
 _decode: Final = Decoder(ProbeResult).decode
@@ -158,23 +151,4 @@ def _read(line: str) -> ProbeResult | None:
             text = line[: end + 1] + "]}"
         else:
             return result if result.library else None
-    return None
-
-
-def component_library(package: str, plugin: str, prefixes: Iterable[Path]) -> Path | None:
-    """Find the library of a component in the ament index; None if no index names it.
-
-    Reads files. The first prefix that has the package wins.
-    """
-    for prefix in prefixes:
-        for index in _INDEXES:
-            path = prefix / "share" / "ament_index" / "resource_index" / index / package
-            try:
-                content = path.read_text(encoding="utf-8")
-            except (OSError, ValueError):
-                continue
-            for line in content.splitlines():
-                name, _, library = line.strip().partition(";")
-                if name == plugin and library:
-                    return prefix / library
     return None

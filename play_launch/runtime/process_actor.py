@@ -13,7 +13,7 @@ import anyio
 from msgspec.structs import replace
 
 from play_launch.config.model import ProcessConfig
-from play_launch.runtime.commands import StartError
+from play_launch.runtime.launcher import StartError
 from play_launch.runtime.publisher import report_shortfalls
 from play_launch.supervisor.inputs import CleanedUp, Exited, NotStarted, Started, Unkillable
 from play_launch.supervisor.world import Exit, Phase
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from anyio.abc import TaskGroup
 
     from play_launch.config.model import ContainerConfig
-    from play_launch.process.exit import Exit as ProcessExit
     from play_launch.process.lines import Line
     from play_launch.runtime.launcher import ManagedProcess
     from play_launch.runtime.system import System
@@ -39,7 +38,9 @@ GONE_LIMIT: Final = 10.0
 class Tasks:
     """Tasks of a system: they wait, and post inputs. Belong to the thread of the event loop."""
 
-    def __init__(self) -> None:
+    def __init__(self, fail: Callable[[str, Exception], None]) -> None:
+        """``fail`` is called with the unit of a task that raised an exception."""
+        self._fail = fail
         self._group: TaskGroup | None = None
         self._context = Context()
 
@@ -57,27 +58,25 @@ class Tasks:
         """Make a scope that a task enters later."""
         return self._context.copy().run(anyio.CancelScope)
 
-    def begin(
-        self, work: Callable[[], Awaitable[None]], on_error: Callable[[Exception], None]
-    ) -> anyio.CancelScope:
-        """Begin a task; cancelled before that, it never does. An exception is no other task's."""
+    def begin(self, work: Callable[[], Awaitable[None]], unit: str = "") -> anyio.CancelScope:
+        """Begin a task, whose exception is the failure of the unit alone; return its scope.
+
+        Cancelled before it begins, it never does.
+        """
         assert self._group is not None
         scope = self.scope()
-        self._context.copy().run(self._group.start_soon, _run, scope, work, on_error)
+        self._context.copy().run(self._group.start_soon, self._run, scope, work, unit)
         return scope
 
-
-async def _run(
-    scope: anyio.CancelScope,
-    work: Callable[[], Awaitable[None]],
-    on_error: Callable[[Exception], None],
-) -> None:
-    try:
-        with scope:
-            if not scope.cancel_called:
-                await work()
-    except Exception as error:  # noqa: BLE001 - the other units go on
-        on_error(error)
+    async def _run(
+        self, scope: anyio.CancelScope, work: Callable[[], Awaitable[None]], unit: str
+    ) -> None:
+        try:
+            with scope:
+                if not scope.cancel_called:
+                    await work()
+        except Exception as error:  # noqa: BLE001 - the other units go on
+            self._fail(unit, error)
 
 
 class ProcessActor:
@@ -89,8 +88,6 @@ class ProcessActor:
         self._process: ManagedProcess | None = None
         self._start = 0
         self._spawning = system.tasks.scope()
-        self._is_awaited = False
-        """Whether a task waits for the exit of its process."""
         self._stopped: anyio.Event | None = None
         self._was_killed = False
 
@@ -98,11 +95,6 @@ class ProcessActor:
     def pid(self) -> int:
         """Of its process; 0 without one."""
         return 0 if self._process is None else self._process.pid
-
-    @property
-    def is_deserted(self) -> bool:
-        """Whether there is a process whose exit is not awaited."""
-        return self._process is not None and not self._is_awaited
 
     @property
     def config(self) -> ContainerConfig | ProcessConfig:
@@ -115,7 +107,7 @@ class ProcessActor:
         """Start its process."""
         self._start = start
         self._spawning = self._system.tasks.scope()
-        self._begin_task(partial(self._spawn, start))
+        self._system.tasks.begin(partial(self._live, start), self.name)
 
     def kill(self, start: int) -> None:
         """Kill its process, or give its start up, which is answered all the same."""
@@ -134,11 +126,9 @@ class ProcessActor:
         self._stops()
         ask = partial(self._ask_to_stop, reason) if asks else None
         self._stopped = anyio.Event()
-        self._begin_task(partial(self._stop_in_order, self._process, start, ask, self._stopped))
-
-    def _begin_task(self, work: Callable[[], Awaitable[None]]) -> anyio.CancelScope:
-        """Begin a task whose failure is that of the unit."""
-        return self._system.begin_task(work, self.name)
+        self._system.tasks.begin(
+            partial(self._stop_in_order, self._process, start, ask, self._stopped), self.name
+        )
 
     # What a kind of process has to say.
 
@@ -181,33 +171,36 @@ class ProcessActor:
 
     # The life of a process.
 
-    async def _spawn(self, start: int) -> None:
-        answer: Started | NotStarted
-        answer = NotStarted(self.name, start, "its start was cancelled", is_permanent=False)
+    async def _live(self, start: int) -> None:
+        """Start its process, and wait until nothing of it is left."""
+        process = None
+        failed = NotStarted(self.name, start, "its start was cancelled", is_permanent=False)
         with self._spawning:
             try:
                 process = await self._begin()
             except StartError as error:
-                answer = replace(answer, reason=str(error), is_permanent=error.permanent)
+                failed = replace(failed, reason=str(error), is_permanent=error.permanent)
             except Exception as error:  # noqa: BLE001 - it is the failure of this unit alone
                 self._system.fail(self.name, error)
-                answer = replace(answer, reason=str(error), is_permanent=True)
-            else:
-                self._process = process
-                self._stopped, self._is_awaited = None, True
-                self._begin_task(partial(self._accompany, process, start))
-                answer = Started(self.name, start, process.pid, process.start_time, process.argv)
-        self._system.post(answer)
-        if isinstance(answer, Started):
-            self._has_started(start)
+                failed = replace(failed, reason=str(error), is_permanent=True)
+        if process is None:
+            self._system.post(failed)
+        else:
+            self._process, self._stopped = process, None
+            await self._accompany(process, start)
 
     async def _accompany(self, process: ManagedProcess, start: int) -> None:
         """Wait until nothing of a process is left; cancelled, it is stopped in order."""
+        identity = process.pid, process.start_time, process.argv
         try:
+            self._system.post(Started(self.name, start, *identity))
+            self._has_started(start)
             exit_ = await process.wait()
             await self._drained()
             self._let_go()
-            self._note_exit(exit_)
+            phase = self._system.world.processes[self.name].phase
+            is_requested = phase in {Phase.STOPPING, Phase.KILLING}
+            self._was_killed = (exit_.signal != 0 or exit_.is_lost) and not is_requested
             exited = Exit(str(exit_), exit_.code, exit_.signal, exit_.is_lost)
             self._system.post(Exited(self.name, start, exited))
         except Exception as error:  # noqa: BLE001 - the others go on
@@ -217,10 +210,9 @@ class ProcessActor:
                 if self._system.world.processes[self.name].is_stuck:
                     process.kill()
                 else:
-                    await process.stop(ask=None, hurry=self._system.stop_requests.hurry)
+                    await self._stop_it(process, None)
             raise
         finally:
-            self._is_awaited = False
             self._let_go()
             if not self._system.world.processes[self.name].is_stuck:
                 try:
@@ -228,11 +220,6 @@ class ProcessActor:
                 finally:
                     self._process = None
                     self._system.post(CleanedUp(self.name, start))
-
-    def _note_exit(self, exit_: ProcessExit) -> None:
-        phase = self._system.world.processes[self.name].phase
-        is_asked = phase in {Phase.STOPPING, Phase.KILLING}
-        self._was_killed = (exit_.signal != 0 or exit_.is_lost) and not is_asked
 
     async def _nothing_is_left_of(self, process: ManagedProcess) -> None:
         with anyio.CancelScope(shield=True):
@@ -245,6 +232,10 @@ class ProcessActor:
                 _log.error(text, self.name, process.pid, GONE_LIMIT)
         await self._clean_up()
 
+    async def _stop_it(self, process: ManagedProcess, ask: Callable[[], bool] | None) -> bool:
+        policy, hurry = self._system.launcher.policy, self._system.stop_requests.hurry
+        return await process.stop(policy, ask=ask, hurry=hurry)
+
     async def _stop_in_order(
         self,
         process: ManagedProcess,
@@ -254,7 +245,7 @@ class ProcessActor:
     ) -> None:
         """Stop it as gently as it allows; at once when that fails."""
         try:
-            if not await process.stop(ask=ask, hurry=self._system.stop_requests.hurry):
+            if not await self._stop_it(process, ask):
                 self._system.post(Unkillable(self.name, start))
         except Exception:  # noqa: BLE001 - it is logged, and the stop goes on
             _log.exception("%s could not be stopped in order and is killed", self.name)

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from play_launch.config.resources import Resources
     from play_launch.process.lines import Line
-    from play_launch.runtime.signals import StopRequests
     from play_launch.supervisor.events import RunEvent, Stream
     from play_launch.supervisor.view import StateSink
 
@@ -41,8 +40,6 @@ class Publisher:
         self._sinks = list(sinks)
         self.stamp_ns = stamp_ns
         self.view = SystemView()
-        self._stop: StopRequests | None = None
-        self._view_before_stop: SystemView | None = None
         self._warnings: set[str] = set()
 
     def add_sink(self, sink: StateSink) -> None:
@@ -56,19 +53,8 @@ class Publisher:
         self._warnings.add(warning)
         return True
 
-    @property
-    def view_before_stop(self) -> SystemView:
-        """The view as it was when the first stop was requested, or is as long as none was."""
-        return self._view_before_stop or self.view
-
-    def remember_view_before(self, stop: StopRequests) -> None:
-        """Keep the view as it is when a stop is requested, before the first event of the stop."""
-        self._stop = stop
-
     def publish(self, event: RunEvent) -> None:
         """Take one event."""
-        if self._view_before_stop is None and self._stop and self._stop.requested.is_set():
-            self._view_before_stop = self.view
         before = self.view
         self.view = after = before.after(event)
         for sink in tuple(self._sinks):

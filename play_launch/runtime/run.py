@@ -39,8 +39,6 @@ class RunOutcome(Struct, frozen=True, kw_only=True):
     """The system when the run began to end, so before it was stopped."""
     final_view: SystemView
     """The system after that."""
-    reason: str
-    signum: int | None = None
 
 
 async def run_system(
@@ -74,7 +72,7 @@ async def run_system(
         decisions: Gets what is decided upon.
     """
     if launcher is None:
-        launcher = await asyncio.to_thread(NativeLauncher.of, config, publisher.publish)
+        launcher = await asyncio.to_thread(NativeLauncher, config, publisher.publish)
     try:
         # A participant that gets a port number of a dead one stumbles over what that one left.
         await launcher.clean_up()
@@ -100,13 +98,11 @@ async def run_system(
         finally:
             if decisions is not None:
                 decisions.add(time(), Over())
-        view = publisher.view_before_stop
+        view = system.view_before_stop
         return RunOutcome(
             exit_code=exit_code(view, publisher.view, stop.signum),
             view=view,
             final_view=publisher.view,
-            reason=stop.reason,
-            signum=stop.signum,
         )
     finally:
         await launcher.clean_up()

@@ -33,6 +33,8 @@ class StopRequests:
         self.signum: int | None = None
         """The signal of the first request; None where it was none."""
         self.reason = ""
+        self.on_request: Callable[[], None] = lambda: None
+        """Called with the first request."""
         self._signals = 0
 
     def request(self, signum: int | None = None, reason: str = "") -> None:
@@ -44,6 +46,7 @@ class StopRequests:
             return
         self.signum = signum
         self.reason = reason or (f"signal {signum}" if signum is not None else "requested")
+        self.on_request()
         self.requested.set()
 
 

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
     from play_launch.config.model import ContainerConfig, ReplayConfig
-    from play_launch.runtime.launcher import ControlLink, ManagedProcess
+    from play_launch.process.child import Child
+    from play_launch.process.stop import StopPolicy
 
 _log = logging.getLogger(__name__)
 
@@ -52,11 +53,9 @@ class AttachedContainer:
     start_time = 0
     argv: tuple[str, ...] = ()
 
-    def __init__(self, name: str, link: StockLink, *, ask: float) -> None:
-        """Take the place of it; ``ask`` is how many seconds unloading may take at the end."""
+    def __init__(self, name: str, link: StockLink) -> None:
         self._name = name
         self._link = link
-        self._ask = ask
         link.start(self._report_absence())
 
     async def wait(self) -> Exit:
@@ -70,10 +69,12 @@ class AttachedContainer:
         """Let it go; it is not killed."""
         self._link.end("detached")
 
-    async def stop(self, *, ask: Callable[[], bool] | None, hurry: asyncio.Event) -> bool:
-        """Unload what was loaded by us, and let it go."""
+    async def stop(
+        self, policy: StopPolicy, *, ask: Callable[[], bool] | None, hurry: asyncio.Event
+    ) -> bool:
+        """Unload what was loaded by us within ``policy.ask`` seconds, and let it go."""
         del ask
-        with anyio.move_on_after(self._ask):
+        with anyio.move_on_after(policy.ask):
             await _first_of(self._link.unload_all(), hurry.wait(), self._link.ended.wait())
         left = ", ".join(load.label for load in self._link.unfinished())
         if left and not self._link.ended.is_set():
@@ -100,7 +101,7 @@ async def _first_of(*coroutines: Coroutine[Any, Any, object]) -> None:
             group.start_soon(one, coroutine)
 
 
-async def _follow(process: ManagedProcess, link: StockLink) -> None:
+async def _follow(process: Child, link: StockLink) -> None:
     """Report the end of a process of ours."""
     exit_ = await process.wait()
     link.end(str(exit_), in_order=exit_.ok)
@@ -109,15 +110,12 @@ async def _follow(process: ManagedProcess, link: StockLink) -> None:
 class StockContainers:
     """The ROS side of all stock containers of a system."""
 
-    def __init__(self, ask: float) -> None:
-        """Start nothing; ``ask`` is how long an attached container may take to unload nodes."""
+    def __init__(self) -> None:
         self._threads: dict[str, RosThread] = {}
-        self._ask = ask
         self._slots: asyncio.Semaphore | None = None
 
-    @classmethod
-    def of(cls, config: ReplayConfig) -> StockContainers:
-        """Start what the system's containers need, nothing if they are all our own.
+    def extend(self, config: ReplayConfig) -> None:
+        """Start what the stock containers of a system need beside what runs already.
 
         Imports rclpy and waits for a DDS participant, so it is for another thread than the event
         loop's.
@@ -125,44 +123,31 @@ class StockContainers:
         Raises:
             NotInstalledError: When that is not possible here.
         """
-        made = cls(config.stop.ask)
-        try:
-            made.extend(config)
-        except NotInstalledError:
-            made.close()
-            raise
-        return made
-
-    def extend(self, config: ReplayConfig) -> None:
-        """Start what the containers of a further system need as well; as `of`."""
-        self._ask = config.stop.ask
         domains = {
             _domain(each)
             for each in config.containers
             if each.container_type is ContainerType.STOCK
         }
+        acquired: dict[str, RosThread] = {}
         try:
-            for domain in sorted(domains - self._threads.keys()):
-                import composition_interfaces.srv  # noqa: F401, PLC0415 - takes long
-                import rcl_interfaces.msg  # noqa: F401, PLC0415
+            import rcl_interfaces.msg  # noqa: F401, PLC0415
 
-                thread = node_pool.acquire({_DOMAIN: domain})
-                try:
-                    thread.until_started()
-                except BaseException:
-                    node_pool.release(thread)
-                    raise
-                self._threads[domain] = thread
+            for domain in sorted(domains - self._threads.keys()):
+                acquired[domain] = thread = node_pool.acquire({_DOMAIN: domain})
+                thread.until_started()
         except Exception as error:
+            for thread in acquired.values():
+                node_pool.release(thread)
             reason = f"container_type stock cannot be used here: {error}"
             raise NotInstalledError(f"{reason} (see play-launch doctor)") from error
+        self._threads |= acquired
 
-    def attach(self, config: ContainerConfig) -> tuple[ManagedProcess, ControlLink]:
+    def attach(self, config: ContainerConfig) -> tuple[AttachedContainer, StockLink]:
         """Attach to a container that something else starts or has started."""
         link = self._link(config)
-        return AttachedContainer(config.full_name, link, ask=self._ask), link
+        return AttachedContainer(config.full_name, link), link
 
-    def talk_to(self, config: ContainerConfig, process: ManagedProcess) -> ControlLink:
+    def talk_to(self, config: ContainerConfig, process: Child) -> StockLink:
         """Begin the conversation with a container that was started by us."""
         link = self._link(config, process.pid, process.start_time)
         link.start(_follow(process, link))

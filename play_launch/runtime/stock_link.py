@@ -432,7 +432,7 @@ def load_node_request(load: m.Load) -> Any:
     Raises:
         EncodeError: When a value does not fit.
     """
-    # Takes long; imported before by `StockContainers.of`.
+    # Takes long; imported before by `StockContainers`.
     from composition_interfaces.srv import LoadNode  # noqa: PLC0415
 
     request = LoadNode.Request(check_fields=True)

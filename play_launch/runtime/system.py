@@ -15,19 +15,19 @@ import anyio
 
 from play_launch.container.messages import Cancel, Unload
 from play_launch.runtime.container_actor import ContainerActor
-from play_launch.runtime.outside import Conversations, Outside
+from play_launch.runtime.outside import Conversation, Outside
 from play_launch.runtime.process_actor import ProcessActor, Tasks
 from play_launch.runtime.publisher import EventLog
 from play_launch.supervisor import inputs
 from play_launch.supervisor.conditions import awaited_dependencies, has_ended, pending_units
 from play_launch.supervisor.difference import events_since
-from play_launch.supervisor.events import REPORTED_LOGGER
+from play_launch.supervisor.events import REPORTED_LOGGER, ManagedState
 from play_launch.supervisor.plan import StepOutcome
 from play_launch.supervisor.reducer import deadline, reduce
 from play_launch.supervisor.world import STATE_OF_PHASE, Limits, Phase, World, is_wanted
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
+    from collections.abc import Callable
 
     from anyio.abc import TaskGroup
 
@@ -40,8 +40,9 @@ if TYPE_CHECKING:
     from play_launch.runtime.launcher import NativeLauncher
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.signals import StopRequests
-    from play_launch.supervisor.events import ContainerState, RunEvent
+    from play_launch.supervisor.events import ContainerState
     from play_launch.supervisor.inputs import Effect, Input
+    from play_launch.supervisor.view import SystemView
 
 _log = logging.getLogger(__name__)
 _reported = logging.getLogger(REPORTED_LOGGER)
@@ -86,16 +87,17 @@ class System:
         self._changed = asyncio.Event()
         self._actors: dict[str, ProcessActor] = {}
         self._ros = ros
-        self.tasks = Tasks()
-        self._outside = Outside(self)
-        self._conversations = Conversations(self)
+        self.tasks = Tasks(self.fail)
+        self.outside = Outside(self)
+        self._conversations: dict[str, Conversation] = {}
         self._applying: Applying | None = None
-        self._pending_at_end: tuple[str, ...] | None = None
+        self._at_end: tuple[SystemView, tuple[str, ...]] | None = None
+        """The view and `pending` when the first stop was requested."""
         self.probe_slots = anyio.Semaphore(max(2, os.cpu_count() or 1))
         """For scratch processes: loading a library is CPU time and reading."""
-        publisher.add_sink(self._outside)
+        publisher.add_sink(self.outside)
         publisher.add_sink(EventLog())
-        self._outside.expect(config.start_rules.values())
+        self.outside.expect(config.start_rules.values())
 
     # Inputs and effects.
 
@@ -124,26 +126,17 @@ class System:
             self._decisions.add(now, said, jitter)
         effects = reduce(self.world, said, now, jitter)
         self._is_overdue = isinstance(said, inputs.Time) and not any(self.world.before)
-        events: list[RunEvent] = []
         try:
             stamp_ns = self.publisher.stamp_ns()
-            events += events_since(self.world, now=now, stamp_ns=stamp_ns)
+            for event in events_since(self.world, now=now, stamp_ns=stamp_ns):
+                self.publisher.publish(event)
         except Exception:  # noqa: BLE001 - what was decided is carried out all the same
             _log.exception("what changed with %s could not be published", type(said).__name__)
-        for event in events:
-            try:
-                self.publisher.publish(event)
-            except Exception:  # noqa: BLE001 - what was decided is carried out all the same
-                _log.exception("%s could not be published", type(event).__name__)
         for effect in effects:
             try:
                 self._carry_out(effect)
             except Exception as error:  # noqa: BLE001 - it is the failure of its unit alone
                 self.fail(getattr(effect, "unit", getattr(effect, "container", "")), error)
-
-    def begin_task(self, work: Callable[[], Awaitable[None]], unit: str = "") -> anyio.CancelScope:
-        """Begin a task; an exception in it is the failure of the unit alone."""
-        return self.tasks.begin(work, partial(self.fail, unit))
 
     def fail(self, unit: str, error: Exception) -> None:
         """Give a unit up because of an exception of our own; the others go on."""
@@ -159,7 +152,7 @@ class System:
 
     def _settled(self) -> None:
         try:
-            self._outside.watch(awaited_dependencies(self.world))
+            self.outside.watch(awaited_dependencies(self.world))
         except Exception:  # noqa: BLE001 - what waits has time limits, and can be started
             _log.exception("what starts depend on cannot be watched")
         for name in [name for name in self._actors if name not in self.world.processes]:
@@ -205,9 +198,9 @@ class System:
             case inputs.Probe():
                 self._container(effect.container).probe(effect.nodes)
             case inputs.Drive():
-                self._conversations.drive(effect.unit, effect.instance, effect.to)
+                self._drive(effect)
             case inputs.SetParameters():
-                self.applying.set_parameters(effect.step)
+                self.tasks.begin(partial(self.applying.set_parameters, effect.step))
             case StepOutcome():
                 self.applying.step_ended(effect)
             case inputs.Log():
@@ -216,9 +209,21 @@ class System:
             case inputs.Raised():
                 self.fail(effect.unit, effect.error)
             case inputs.End():
-                self._pending_at_end = self.pending
                 self.stop_requests.request(reason=effect.reason)
                 self.post(inputs.StopRequested(effect.reason))
+
+    def _drive(self, effect: inputs.Drive) -> None:
+        """Begin a conversation with a node, request a transition, or end the conversation."""
+        talk = self._conversations.get(effect.unit)
+        if effect.to in {ManagedState.CONFIGURING, ManagedState.ACTIVATING}:
+            if talk is not None and talk.instance == effect.instance:
+                talk.transit(effect.to)
+            return
+        if talk is not None:
+            talk.end()
+            del self._conversations[effect.unit]
+        if effect.to is ManagedState.ASKED:
+            self._conversations[effect.unit] = Conversation(self, effect.unit, effect.instance)
 
     def _actor(self, name: str) -> ProcessActor:
         kind = ProcessActor if self.world.processes[name].container is None else ContainerActor
@@ -274,15 +279,18 @@ class System:
     @property
     def pending(self) -> tuple[str, ...]:
         """Units that have neither been up nor failed for good, as it was when its end began."""
-        if self._pending_at_end is not None:
-            return self._pending_at_end
-        return pending_units(self.world)
+        return pending_units(self.world) if self._at_end is None else self._at_end[1]
+
+    @property
+    def view_before_stop(self) -> SystemView:
+        """The view as it was when its end began, or is as long as that did not."""
+        return self.publisher.view if self._at_end is None else self._at_end[0]
+
+    def _note_end(self) -> None:
+        self._at_end = self.publisher.view, pending_units(self.world)
 
     def health_problem(self) -> str:
-        """Describe the first health problem; else empty."""
-        for actor in self._actors.values():
-            if actor.is_deserted and not self.world.processes[actor.name].is_stuck:
-                return f"{actor.name}: the exit of its process {actor.pid} is not awaited"
+        """Describe a health problem of the supervisor; else empty."""
         due = deadline(self.world)
         late = 0.0 if due is None or self._is_closed else self._loop.time() - due
         return f"what was due {late:.0f} s ago is not done" if late > LATE else ""
@@ -324,10 +332,6 @@ class System:
             raise KeyError(unit)
         return str(unit)
 
-    def use_rules(self, config: ReplayConfig) -> None:
-        """Have the lines that others depend on looked for."""
-        self._outside.expect(config.start_rules.values())
-
     # From start to end.
 
     async def run(self) -> None:
@@ -336,7 +340,9 @@ class System:
         now, stamp_ns = self._loop.time(), self.publisher.stamp_ns()
         for event in events_since(self.world, now=now, stamp_ns=stamp_ns):
             self.publisher.publish(event)
-        self.publisher.remember_view_before(self.stop_requests)
+        self.stop_requests.on_request = self._note_end
+        if self.stop_requests.requested.is_set():
+            self._note_end()
         try:
             async with anyio.create_task_group() as tasks:
                 self._begin(tasks)
@@ -345,7 +351,6 @@ class System:
                 if not self.stop_requests.requested.is_set():
                     reason = f"its duration of {self.config.duration:g} s is over"
                     self.stop_requests.request(reason=reason)
-                self._pending_at_end = self.pending
                 _log.info("stopping: %s", self.stop_requests.reason)
                 tasks.start_soon(self._hurry)
                 self.post(inputs.StopRequested(self.stop_requests.reason))
@@ -353,13 +358,13 @@ class System:
                 tasks.cancel_scope.cancel()
         finally:
             self._close()
-            await self._outside.close()
+            await self.outside.close()
             if self._applying is not None:
                 await self._applying.close()
 
     def _begin(self, tasks: TaskGroup) -> None:
         self.tasks.run_in(tasks)
-        self.begin_task(self._outside.run)
+        self.tasks.begin(self.outside.run)
         if not self.stop_requests.requested.is_set():
             self.post(inputs.Time())
 

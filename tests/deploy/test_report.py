@@ -14,9 +14,10 @@ from play_launch.config.model import ReplayConfig
 from play_launch.deploy.notification import ServiceManager
 from play_launch.deploy.report import ServiceReport, status_text
 from play_launch.process.exit import Exit
-from play_launch.runtime.commands import StartError
+from play_launch.runtime.launcher import StartError
 from play_launch.runtime.system import System
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind
+from play_launch.supervisor.inputs import Time
 from play_launch.supervisor.view import SystemView
 from tests.cli import scenes
 from tests.runtime.fakes import FakeContainer, FakeLauncher, Held, container, process, system
@@ -197,31 +198,6 @@ def test_what_was_up_once_has_arrived(tmp_path: Path) -> None:
         run(main())
 
 
-def test_a_member_that_nobody_looks_after_is_not_hidden(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with reported(system(process("p")), FakeLauncher(), listening) as one:
-            await asyncio.sleep(60)
-            assert "WATCHDOG=1" in listening.hear_all()
-            (actor,) = one.operated._actors.values()
-            actor._is_awaited = False
-            await asyncio.sleep(11)
-            listening.hear_all()
-            await asyncio.sleep(100)
-            assert listening.hear_all() == []
-            assert any(
-                each.startswith("STATUS=health problem: /p: the exit of its process")
-                for each in listening.said
-            )
-            actor._is_awaited = True
-            await asyncio.sleep(11)
-            said = listening.hear_all()
-            assert "WATCHDOG=1" in said
-            assert any(each.startswith("STATUS=0 of") or "running" in each for each in said)
-
-    with closing(Listening.in_folder(tmp_path)) as listening:
-        run(main())
-
-
 def test_a_timer_that_is_lost_is_not_hidden(tmp_path: Path) -> None:
     class Silent(FakeContainer):
         def start(self) -> None:
@@ -231,11 +207,18 @@ def test_a_timer_that_is_lost_is_not_hidden(tmp_path: Path) -> None:
         launcher = FakeLauncher(makers={"/a": [Silent]})
         async with reported(system(container("a")), launcher, listening) as one:
             await one.until(lambda: bool(one.process_events("/a")))
+            assert "WATCHDOG=1" in listening.hear_all()
             timer: Any = one.operated._timer
-            assert one.operated.health_problem() == ""
             timer.cancel()
             await asyncio.sleep(60)
-            assert one.operated.health_problem().startswith("what was due ")
+            listening.hear_all()
+            await asyncio.sleep(100)
+            assert "WATCHDOG=1" not in listening.hear_all()
+            problem = "STATUS=health problem: what was due "
+            assert any(each.startswith(problem) for each in listening.said)
+            one.operated.post(Time())
+            await asyncio.sleep(11)
+            assert "WATCHDOG=1" in listening.hear_all()
 
     with closing(Listening.in_folder(tmp_path)) as listening:
         run(main())

@@ -30,7 +30,8 @@ def _loop_is_never_blocked() -> Iterator[None]:
         # can wait for anything but the file system.
         blockbuster.functions["os.read"].can_block_in("subprocess.py", "_execute_child")
         # What the guard of the session gets is a file in memory.
-        blockbuster.functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_file")
+        write = blockbuster.functions["io.BufferedWriter.write"]
+        write.can_block_in("process/guard.py", "_command_file")
         # The kernel lists the threads of a process from memory.
         blockbuster.functions["os.listdir"].can_block_in("process/time_slice.py", "_threads")
         for name in ("os.stat", "os.access"):

@@ -18,7 +18,6 @@ from play_launch.process.stop import (
     StopLevel,
     StopPolicy,
     StopStep,
-    left_in_hurry,
     plan,
     stop,
 )
@@ -53,17 +52,6 @@ def test_levels_come_in_order_and_sigkill_last(
     assert (StopLevel.ASK in levels) == (can_ask and ask > 0)
     assert (StopLevel.SIGTERM in levels) == (sigterm > 0)
     assert all(step.limit > 0 for step in steps)
-
-
-@given(limit=SECONDS, elapsed=SECONDS, hurried=SECONDS)
-def test_hurry_only_shortens(limit: float, elapsed: float, hurried: float) -> None:
-    policy = StopPolicy(hurried=hurried)
-    left = left_in_hurry(policy, StopStep(StopLevel.SIGINT, limit), elapsed)
-    assert 0 <= left <= max(0.0, limit - elapsed)
-    assert left <= hurried
-    # The kernel gets its time: afterwards nobody would look any more.
-    last = left_in_hurry(policy, StopStep(StopLevel.SIGKILL, limit), elapsed)
-    assert last == max(0.0, limit - elapsed)
 
 
 async def ready(argv: list[str], guard: Path) -> tuple[Child, Output]:

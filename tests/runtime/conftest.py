@@ -37,7 +37,8 @@ def _loop_is_never_blocked() -> Iterator[None]:
         # neither can wait for anything but the file system.
         blockbuster.functions["os.read"].can_block_in("subprocess.py", "_execute_child")
         # What the guard of the session gets is a file in memory.
-        blockbuster.functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_file")
+        write = blockbuster.functions["io.BufferedWriter.write"]
+        write.can_block_in("process/guard.py", "_command_file")
         # The kernel lists the threads of a process from memory.
         listdir = blockbuster.functions["os.listdir"]
         listdir.can_block_in("process/processor_wait.py", "thread_wait")
@@ -45,8 +46,8 @@ def _loop_is_never_blocked() -> Iterator[None]:
         listdir.can_block_in("process/time_slice.py", "_threads")
         for name in ("os.stat", "os.access"):
             blockbuster.functions[name].can_block_in("process/program.py", "check_program")
-            blockbuster.functions[name].can_block_in("install/command.py", "find_executable")
-            blockbuster.functions[name].can_block_in("runtime/commands.py", "process_command")
+            blockbuster.functions[name].can_block_in("container/command.py", "find_executable")
+            blockbuster.functions[name].can_block_in("container/command.py", "process_command")
         yield
 
 

@@ -22,6 +22,7 @@ from play_launch.config.model import (
 from play_launch.config.node_key import NodeKey
 from play_launch.container.channel import (
     ChannelClosedError,
+    ControlChannel,
     ControlError,
     VersionMismatchError,
 )
@@ -41,20 +42,21 @@ from play_launch.container.messages import (
     Status,
     Unload,
 )
+from play_launch.process.child import Child
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
-from play_launch.runtime.commands import MemberGroups
-from play_launch.runtime.launcher import NativeLauncher, NativeProcess
+from play_launch.process.stop import StopPolicy
+from play_launch.runtime.launcher import MemberGroups, NativeLauncher
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind, Stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from play_launch.process.lines import OutputCallback
-    from play_launch.runtime.commands import StartError
+    from play_launch.runtime.launcher import StartError
 
 
-class FakeProcess(NativeProcess):
+class FakeProcess(Child):
     _pids = itertools.count(100)
 
     def __init__(self, argv: tuple[str, ...]) -> None:
@@ -68,16 +70,16 @@ class FakeProcess(NativeProcess):
         self.lingers = 0.0
         """Seconds from its end to the end of what it leaves."""
         self.on_end: Callable[[], None] = lambda: None
-        self._ended = asyncio.Event()
+        self._end_seen = asyncio.Event()
 
     def end(self, exit_: Exit) -> None:
         if self.exit is None:
             self.exit = exit_
-            self._ended.set()
+            self._end_seen.set()
             self.on_end()
 
     async def wait(self) -> Exit:
-        await self._ended.wait()
+        await self._end_seen.wait()
         assert self.exit is not None
         return self.exit
 
@@ -90,7 +92,9 @@ class FakeProcess(NativeProcess):
         self.stopped_with.append("kill")
         self.end(Exit(signal=9))
 
-    async def stop(self, *, ask: Callable[[], bool] | None, hurry: asyncio.Event) -> bool:
+    async def stop(
+        self, policy: StopPolicy, *, ask: Callable[[], bool] | None, hurry: asyncio.Event
+    ) -> bool:
         levels = ([("ask", Exit())] if ask else []) + [
             ("SIGINT", Exit(signal=2)),
             ("SIGKILL", Exit(signal=9)),
@@ -103,24 +107,17 @@ class FakeProcess(NativeProcess):
                 ask()
             elif level not in self.deaf_to:
                 self.end(exit_)
+            waits = [asyncio.ensure_future(self.wait()), asyncio.ensure_future(hurry.wait())]
             try:
-                async with asyncio.timeout(2.0):
-                    waits = [
-                        asyncio.ensure_future(self.wait()),
-                        asyncio.ensure_future(hurry.wait()),
-                    ]
-                    try:
-                        await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
-                    finally:
-                        for wait in waits:
-                            wait.cancel()
-                        await asyncio.gather(*waits, return_exceptions=True)
-            except TimeoutError:
-                continue
+                await asyncio.wait(waits, timeout=2.0, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for wait in waits:
+                    wait.cancel()
+                await asyncio.gather(*waits, return_exceptions=True)
         return self.exit is not None
 
 
-class FakeLink:
+class FakeLink(ControlChannel):
     def __init__(self, container: FakeContainer) -> None:
         self._container = container
         self._incoming: asyncio.Queue[Incoming | ControlError] = asyncio.Queue()
@@ -338,9 +335,8 @@ class FakeLauncher(NativeLauncher):
     cleaned_before_a_start: list[int] = field(default_factory=list)
     closed: bool = False
     groups: MemberGroups = field(default_factory=NoGroups)
-
-    def hello(self) -> Hello:
-        return Hello(version="1")
+    hello: Hello = field(default_factory=lambda: Hello(version="1"))
+    policy: StopPolicy = field(default_factory=StopPolicy)
 
     async def start_container(
         self, config: ContainerConfig, on_output: OutputCallback

@@ -3,30 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-import functools
-from collections.abc import Callable, Coroutine
 from typing import TYPE_CHECKING, TypeVar
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from play_launch.config.model import (
-    ComposableNodeConfig,
-    ContainerConfig,
     ContainerType,
     OnCrash,
     ParameterConfig,
     ParameterType,
     ParameterValue,
-    ProcessConfig,
-    ReplayConfig,
-    RestartLimits,
 )
 from play_launch.container.messages import Load, Unload
 from play_launch.runtime.applying import BusyError
-from play_launch.runtime.commands import StartError
+from play_launch.runtime.launcher import StartError
 from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,
@@ -46,23 +37,10 @@ from .fakes import (
     process,
     system,
 )
-from .jumping_loop import run as run_loop
 from .running import running
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-Test = Callable[[], Coroutine[object, object, None]]
-
-
-def simulated(test: Test) -> Callable[[], None]:
-    """Run it in a loop whose clock jumps to whatever is next."""
-
-    @functools.wraps(test)
-    def carried_out() -> None:
-        run_loop(test())
-
-    return carried_out
+    pass
 
 
 def rate(value: int) -> tuple[ParameterConfig, ...]:
@@ -81,7 +59,6 @@ def results(applied: Applied) -> dict[str, Result]:
     return {each.step.name: each.result for each in applied.outcomes}
 
 
-@simulated
 async def test_a_node_comes_and_goes_beside_others_that_notice_nothing() -> None:
     launcher = FakeLauncher()
     before = system(container("box", "stays", "goes"), container("other", "n"))
@@ -106,7 +83,6 @@ async def test_a_node_comes_and_goes_beside_others_that_notice_nothing() -> None
     assert run.outcome.exit_code == 0
 
 
-@simulated
 async def test_members_come_and_go() -> None:
     launcher = FakeLauncher()
     before = system(container("stays", "n"), container("goes", "m"), process("old"))
@@ -126,7 +102,6 @@ async def test_members_come_and_go() -> None:
     assert run.outcome.exit_code == 0
 
 
-@simulated
 async def test_a_container_of_another_type_is_a_new_process_with_its_new_nodes() -> None:
     launcher = FakeLauncher()
     async with running(system(container("box", "a", "b")), launcher) as run:
@@ -141,7 +116,6 @@ async def test_a_container_of_another_type_is_a_new_process_with_its_new_nodes()
         assert run.view.is_complete
 
 
-@simulated
 async def test_a_changed_node_is_loaded_anew_as_it_is_declared_now() -> None:
     launcher = FakeLauncher()
     async with running(system(container("box", "a", "b")), launcher) as run:
@@ -157,7 +131,6 @@ async def test_a_changed_node_is_loaded_anew_as_it_is_declared_now() -> None:
         assert sent(launcher, "/box", Load)[-1].remap_rules == ("x:=y",)
 
 
-@simulated
 async def test_a_parameter_is_set_where_the_node_takes_it_and_else_it_is_loaded_anew() -> None:
     launcher, parameters = FakeLauncher(), FakeParameters()
     parameters.refusals["/b"] = "rate is read-only"
@@ -181,7 +154,6 @@ async def test_a_parameter_is_set_where_the_node_takes_it_and_else_it_is_loaded_
         assert sent(launcher, "/box", Load)[-1].parameters == rate(2)
 
 
-@simulated
 async def test_limits_are_taken_over_without_a_word_to_the_container() -> None:
     launcher = FakeLauncher()
     async with running(system(container("box", "a")), launcher) as run:
@@ -207,7 +179,6 @@ class Refusing(FakeContainer):
             super().construct(held)
 
 
-@simulated
 async def test_a_failing_step_ends_it_and_leaves_the_rest_as_it_was() -> None:
     launcher = FakeLauncher({"/box": [Refusing]})
     before = system(container("box", "a", "old"))
@@ -229,7 +200,6 @@ async def test_a_failing_step_ends_it_and_leaves_the_rest_as_it_was() -> None:
         assert [(step.name, step.action) for step in left.steps] == [("/box:/bad", PlanAction.LOAD)]
 
 
-@simulated
 async def test_what_comes_after_a_failure_is_not_begun() -> None:
     launcher = FakeLauncher()
     before = system(container("box", "a"), process("p"))
@@ -253,7 +223,6 @@ async def test_what_comes_after_a_failure_is_not_begun() -> None:
         assert run.view.is_complete
 
 
-@simulated
 async def test_a_failure_can_be_rolled_back() -> None:
     launcher = FakeLauncher({"/box": [Refusing]})
     before = system(container("box", "a", "old"), process("p"))
@@ -271,7 +240,6 @@ async def test_a_failure_can_be_rolled_back() -> None:
         assert run.node_states("/a").count(NodeState.REQUESTED) == 1
 
 
-@simulated
 async def test_what_takes_too_long_fails_and_may_still_come() -> None:
     class Slow(FakeContainer):
         def construct(self, held: Held) -> None:
@@ -287,7 +255,6 @@ async def test_what_takes_too_long_fails_and_may_still_come() -> None:
         assert not run.operated.applying.plan(target).steps
 
 
-@simulated
 async def test_two_at_a_time_are_one_too_many() -> None:
     launcher = FakeLauncher()
     async with running(system(container("box", "a")), launcher) as run:
@@ -301,7 +268,6 @@ async def test_two_at_a_time_are_one_too_many() -> None:
         assert (await first).succeeded
 
 
-@simulated
 async def test_everything_may_be_replaced_and_the_run_goes_on() -> None:
     launcher = FakeLauncher()
     async with running(system(process("only")), launcher) as run:
@@ -311,7 +277,6 @@ async def test_everything_may_be_replaced_and_the_run_goes_on() -> None:
         assert len(launcher.processes["/next"]) == 1
 
 
-@simulated
 async def test_a_stop_ends_what_is_being_applied() -> None:
     class Never(FakeContainer):
         def construct(self, held: Held) -> None:
@@ -328,7 +293,6 @@ async def test_a_stop_ends_what_is_being_applied() -> None:
         assert "stop" in applied.outcomes[-1].reason
 
 
-@simulated
 async def test_a_crashed_node_is_loaded_again_although_nothing_differs() -> None:
     launcher = FakeLauncher()
     config = system(container("box", node("a", OnCrash.IGNORE), "b"))
@@ -347,7 +311,6 @@ async def test_a_crashed_node_is_loaded_again_although_nothing_differs() -> None
         assert run.view.is_complete
 
 
-@simulated
 async def test_a_node_that_is_taken_out_of_a_dead_container_does_not_come_back_with_it() -> None:
     launcher = FakeLauncher()
     async with running(system(container("box", "a", "b")), launcher) as run:
@@ -358,79 +321,3 @@ async def test_a_node_that_is_taken_out_of_a_dead_container_does_not_come_back_w
         await run.until_loaded(1)
         loads = launcher.containers["/box"][1].link.sent
         assert [each.node_name for each in loads if isinstance(each, Load)] == ["a"]
-
-
-NAMES = st.sampled_from(["a", "b", "c"])
-
-
-@st.composite
-def systems(draw: st.DrawFn) -> ReplayConfig:
-    """Systems in which everything that a plan can do to a member or node happens."""
-
-    def component(name: str) -> ComposableNodeConfig:
-        return replace(
-            node(name, draw(st.sampled_from([OnCrash.RELOAD, OnCrash.IGNORE]))),
-            parameters=rate(draw(st.integers(1, 2))),
-            remappings=draw(st.sampled_from([(), (("x", "y"),)])),
-        )
-
-    members: list[ContainerConfig | ProcessConfig] = []
-    for name in draw(st.lists(st.sampled_from(["one", "two"]), unique=True, min_size=1)):
-        nodes = [component(each) for each in draw(st.lists(NAMES, unique=True))]
-        kind = draw(st.sampled_from([ContainerType.STANDARD, ContainerType.MT]))
-        members.append(replace(container(name, *nodes), container_type=kind))
-    for name in draw(st.lists(st.sampled_from(["p", "q"]), unique=True)):
-        command = (draw(st.sampled_from(["run", "walk"])),)
-        restart = RestartLimits(max_restarts=draw(st.integers(1, 2)))
-        members.append(replace(process(name), command=command, restart=restart, parameters=rate(1)))
-    return system(*members)
-
-
-@settings(max_examples=60, deadline=None)
-@given(chain=st.lists(systems(), min_size=2, max_size=5), refused=st.sets(NAMES))
-def test_any_system_becomes_any_other(chain: list[ReplayConfig], refused: set[str]) -> None:
-    async def check() -> None:
-        launcher, parameters = FakeLauncher(), FakeParameters()
-        parameters.refusals = {f"/{name}": "no" for name in refused}
-        async with running(chain[0], launcher, parameters=parameters) as run:
-            await run.until(lambda: bool(run.view.containers) and run.view.is_complete)
-            for target in chain[1:]:
-                running_before = pids(launcher)
-                found = run.operated.applying.plan(target)
-                assert (await run.operated.applying.apply(target)).succeeded
-                assert run.view.is_complete
-                assert set(run.view.containers) == {each.full_name for each in target.containers}
-                assert set(run.view.processes) == {each.full_name for each in target.nodes}
-                for each in target.containers:
-                    (alive,) = [
-                        it for it in launcher.containers[each.full_name] if it.process.exit is None
-                    ]
-                    held = {it.load.node_name: it.load for it in alive.held.values()}
-                    assert held.keys() == {it.name for it in each.composable_nodes}
-                    for it in each.composable_nodes:
-                        assert held[it.name].remap_rules == tuple(
-                            f"{one}:={two}" for one, two in it.remappings
-                        )
-                touched = {step.name for step in found.steps if step.kind is not PlanKind.COMPONENT}
-                now = pids(launcher)
-                for name in running_before.keys() & now.keys() - touched:
-                    assert running_before[name] == now[name]
-                assert not run.operated.applying.plan(target).steps
-
-    run_loop(check())
-
-
-def pids(launcher: FakeLauncher) -> Mapping[str, int]:
-    containers = {
-        name: each.process.pid
-        for name, started in launcher.containers.items()
-        for each in started
-        if each.process.exit is None
-    }
-    processes = {
-        name: each.pid
-        for name, started in launcher.processes.items()
-        for each in started
-        if each.exit is None
-    }
-    return {**containers, **processes}

@@ -22,7 +22,7 @@ from play_launch.config.model import (
 from play_launch.config.node_key import NodeKey
 from play_launch.container.messages import Load
 from play_launch.process.exit import Exit
-from play_launch.runtime.commands import StartError
+from play_launch.runtime.launcher import StartError
 from play_launch.supervisor import change
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind
 

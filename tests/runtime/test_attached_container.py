@@ -6,16 +6,18 @@ import asyncio
 
 import pytest
 
-from play_launch.container.channel import ChannelClosedError
+from play_launch.process.stop import StopPolicy
 from play_launch.runtime.stock_containers import AttachedContainer
 from play_launch.runtime.stock_link import StockLink
 
-from .stock_services import Services, greeted, link_to, load, settle
+from .stock_services import Services, greeted, load, settle
+
+POLICY = StopPolicy(ask=3.0)
 
 
 async def attached(services: Services) -> tuple[AttachedContainer, StockLink]:
     link = await greeted(services)
-    container = AttachedContainer("/box", link, ask=3.0)
+    container = AttachedContainer("/box", link)
     await settle()
     services.change()
     await settle()
@@ -30,63 +32,13 @@ async def loaded(services: Services, link: StockLink, attempt: int, name: str) -
     await settle()
 
 
-async def test_it_has_no_process_of_ours() -> None:
-    container, link = await attached(Services())
-    assert (container.pid, container.start_time, container.argv) == (0, 0, ())
-    container.kill()
-    assert str(await container.wait()) == "detached"
-    link.close()
-
-
-async def test_it_ends_when_the_container_is_gone() -> None:
-    services = Services()
-    container, link = await attached(services)
-    ending = asyncio.create_task(container.wait())
-    await settle()
-    assert not ending.done()
-    services.change(is_present=False)
-    word = "its services left the graph"
-    assert word in str(await ending)
-    with pytest.raises(ChannelClosedError, match=word):
-        await link.receive()
-    link.close()
-
-
-@pytest.mark.parametrize("is_new", [True, False])
-async def test_a_container_started_anew_has_none_of_the_nodes(is_new: bool) -> None:
-    services = Services()
-    container, link = await attached(services)
-    await loaded(services, link, 1, "a")
-    if is_new:
-        services.nodes.clear()
-    ending = asyncio.create_task(container.wait())
-    await asyncio.sleep(6)
-    assert ending.done() is is_new
-    if is_new:
-        assert "restarted" in str(ending.result())
-    container.kill()
-    await ending
-    link.close()
-
-
-async def test_at_the_end_what_was_there_stays() -> None:
-    services = Services()
-    services.nodes = {1: "/there", 2: "/foreign"}
-    container, link = await attached(services)
-    await loaded(services, link, 1, "ours")
-    assert await container.stop(ask=None, hurry=asyncio.Event())
-    assert services.nodes == {1: "/there", 2: "/foreign"}
-    assert str(await container.gone()) == "detached"
-    link.close()
-
-
 async def test_a_load_under_way_is_waited_for_and_unloaded_and_no_other_is_sent() -> None:
     services = Services()
     container, link = await attached(services)
     link.send(load(1, "slow"))
     link.send(load(2, "queued"))
     await settle()
-    stopping = asyncio.create_task(container.stop(ask=None, hurry=asyncio.Event()))
+    stopping = asyncio.create_task(container.stop(POLICY, ask=None, hurry=asyncio.Event()))
     await asyncio.sleep(1)
     services.construct()
     assert await stopping
@@ -105,7 +57,7 @@ async def test_it_is_let_go_in_time(hurries: bool, caplog: pytest.LogCaptureFixt
     began = loop.time()
     if hurries:
         loop.call_later(1, hurry.set)
-    assert await container.stop(ask=None, hurry=hurry)
+    assert await container.stop(POLICY, ask=None, hurry=hurry)
     assert loop.time() - began == pytest.approx(1 if hurries else 3, abs=0.1)
     assert "/box keeps /a: not unloaded in time" in caplog.text
     link.close()
@@ -121,19 +73,6 @@ async def test_a_container_that_refuses_is_not_asked_for_ever() -> None:
         return services._reply(True, type("Reply", (), {"success": False, "error_message": "no"}))
 
     services.unload_node = refuse  # type: ignore[method-assign, assignment]
-    assert await container.stop(ask=None, hurry=asyncio.Event())
+    assert await container.stop(POLICY, ask=None, hurry=asyncio.Event())
     assert services.unloaded == [11, 11]
-    link.close()
-
-
-async def test_nobody_is_waited_for_without_a_word(caplog: pytest.LogCaptureFixture) -> None:
-    services = Services()
-    services.is_present = False
-    link = link_to(services)
-    container = AttachedContainer("/box", link, ask=3.0)
-    await asyncio.sleep(9)
-    assert "waiting for" not in caplog.text
-    await asyncio.sleep(60)
-    assert caplog.text.count("waiting for /box") == 1
-    container.kill()
     link.close()

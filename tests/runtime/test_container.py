@@ -11,7 +11,7 @@ from play_launch.container.messages import (
     Load,
 )
 from play_launch.process.exit import Exit
-from play_launch.runtime.commands import StartError
+from play_launch.runtime.launcher import StartError
 from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,
@@ -123,7 +123,7 @@ async def test_restarts_are_bounded_and_then_it_is_given_up_loudly(
     assert sys.process_events("/c")[-1] is ProcessEventKind.GAVE_UP
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 1
-    assert sys.outcome.reason == "nothing is left to run"
+    assert sys.stop.reason == "nothing is left to run"
     assert "/c is not started again: exited with signal 6" in caplog.text
 
 
@@ -210,4 +210,4 @@ async def test_the_end_of_a_container_may_be_that_of_the_system() -> None:
     assert sys.process_events("/c").count(ProcessEventKind.STARTED) == 1
     assert sys.process_events("/d")[-1] is ProcessEventKind.EXITED
     assert sys.outcome is not None
-    assert (sys.outcome.reason, sys.outcome.exit_code) == ("/c has ended", 1)
+    assert (sys.stop.reason, sys.outcome.exit_code) == ("/c has ended", 1)

@@ -14,7 +14,6 @@ from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,
     NodeState,
-    ProcessEventKind,
 )
 from play_launch.supervisor.outcome import Cause, Sequel
 
@@ -178,28 +177,6 @@ async def test_ignored_it_stays_away_until_its_container_is_started_anew() -> No
     assert sys.outcome.exit_code == 1
 
 
-async def test_its_container_is_stopped_in_order_and_the_others_run_on() -> None:
-    config = system(container("c", node("a", OnCrash.STOP_CONTAINER), "b"), container("d", "x"))
-    async with running(config, launcher()) as sys:
-        await sys.until_loaded(3)
-        await crash(sys, "a")
-        await sys.until_state("/c", ContainerState.STOPPED)
-        assert the_container(sys).process.stopped_with == ["ask"]
-        await asyncio.sleep(300)
-        assert len(sys.launcher.containers["/c"]) == 1
-        assert sys.view.containers["/d"].state is ContainerState.RUNNING
-        assert not sys.stop.requested.is_set()
-    assert sys.node_states("/a")[-1] is NodeState.GAVE_UP
-    assert sys.node_states("/b")[-1] is NodeState.UNLOADED
-    assert (
-        "/a crashed: exited with signal 11"
-        in sys.container_events("/c", ContainerState.STOPPING)[0].reason
-    )
-    assert sys.process_events("/c")[-2:] == [ProcessEventKind.STOPPING, ProcessEventKind.EXITED]
-    assert sys.outcome is not None
-    assert sys.outcome.exit_code == 1
-
-
 async def test_the_run_ends_when_its_only_container_is_stopped() -> None:
     config = system(container("c", node("a", OnCrash.STOP_CONTAINER)))
     async with running(config, launcher()) as sys:
@@ -207,19 +184,7 @@ async def test_the_run_ends_when_its_only_container_is_stopped() -> None:
         the_container(sys).crash_node("a")
         await sys.stop.requested.wait()
     assert sys.outcome is not None
-    assert (sys.outcome.reason, sys.outcome.exit_code) == ("nothing is left to run", 1)
-
-
-async def test_the_whole_system_is_shut_down() -> None:
-    config = system(container("c", node("a", OnCrash.SHUTDOWN)), container("d", "x"))
-    async with running(config, launcher()) as sys:
-        await sys.until_loaded(2)
-        the_container(sys).crash_node("a")
-        await sys.stop.requested.wait()
-    assert sys.outcome is not None
-    assert sys.outcome.exit_code == 1
-    assert sys.outcome.reason.startswith("/a crashed: exited with signal 11")
-    assert sys.view.containers["/d"].state is ContainerState.STOPPED
+    assert (sys.stop.reason, sys.outcome.exit_code) == ("nothing is left to run", 1)
 
 
 async def test_a_node_that_crashes_while_its_container_stops_is_left_alone() -> None:

@@ -33,6 +33,7 @@ from .running import running
 from .test_order import on, rules
 
 if TYPE_CHECKING:
+    from play_launch.process.stop import StopPolicy
     from play_launch.supervisor.reducer import Reduction
 
 STARTED = ProcessEventKind.STARTED
@@ -166,7 +167,9 @@ async def test_one_that_does_not_die_is_not_stopped_again_at_the_end() -> None:
         def kill(self) -> None:
             self.stopped_with.append("kill")
 
-        async def stop(self, *, ask: Callable[[], bool] | None, hurry: asyncio.Event) -> bool:
+        async def stop(
+            self, policy: StopPolicy, *, ask: Callable[[], bool] | None, hurry: asyncio.Event
+        ) -> bool:
             self.stopped_with.append("stop")
             await asyncio.sleep(10)
             return False

@@ -110,35 +110,6 @@ async def test_configure_goes_so_far_and_no_further() -> None:
         assert states(sys) == [State.ASKED, State.CONFIGURING, State.INACTIVE]
 
 
-@pytest.mark.parametrize(
-    ("traits", "reason"),
-    [
-        ({"refuses": 3}, "its transition activate failed"),
-        ({"refuses": 1}, "its transition configure failed"),
-        ({"takes": 9.0}, "its transition configure took longer than 5 s"),
-        ({"raises": 3}, "its transition activate led to the state unconfigured"),
-        ({"is_silent": True}, "its lifecycle services did not answer within 5 s"),
-        (
-            {"is_silent": True, "is_offered": False},
-            "the service /n/get_state was not available within 5 s",
-        ),
-    ],
-)
-async def test_a_failure_is_published_and_the_exit_code_says_it(
-    traits: dict[str, float], reason: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    async with running(managed(timeout=5.0), FakeLauncher(), ros=FakeRos(**traits)) as sys:
-        await sys.until(lambda: State.FAILED in states(sys))
-        await asyncio.sleep(100)
-        assert states(sys).count(State.FAILED) == 1
-    failed = next(each for each in sys.events if getattr(each, "state", "") is State.FAILED)
-    assert isinstance(failed, ManagedNodeChanged)
-    assert (failed.unit, failed.node, failed.reason) == ("/c:/n", "/n", reason)
-    assert f"/n does not activate: {reason}" in caplog.text
-    assert sys.outcome is not None
-    assert sys.outcome.exit_code == 1
-
-
 async def test_a_node_that_leaves_in_a_transition_is_not_waited_for() -> None:
     async with running(managed(), FakeLauncher(), ros=FakeRos(takes=1000.0)) as sys:
         await sys.until(lambda: State.CONFIGURING in states(sys))

@@ -16,7 +16,7 @@ from play_launch.config.model import OnExit, ReplayConfig
 from play_launch.config.node_key import NodeKey
 from play_launch.process.exit import Exit
 from play_launch.ros.access import GraphSource, RosAccess, Wanted
-from play_launch.runtime.commands import StartError
+from play_launch.runtime.launcher import StartError
 from play_launch.supervisor import process_rules
 from play_launch.supervisor.conditions import may_start
 from play_launch.supervisor.events import (
@@ -128,25 +128,6 @@ async def test_one_that_cannot_come_any_more_is_reported_and_not_waited_for(how:
     assert sys.gave_up()["/later"].startswith("it waited for /late to be started: it gave up: ")
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 1
-
-
-async def test_its_time_runs_out_and_it_fails_or_starts(caplog: pytest.LogCaptureFixture) -> None:
-    fakes = FakeLauncher()
-    config = system(process("fails"), process("starts"), process("early"))
-    config = rules(
-        config,
-        fails=on(Condition.EXITED, "/early", timeout=7.0),
-        starts=on(Condition.EXITED, "/early", timeout=9.0, on_timeout=OnTimeout.START),
-    )
-    async with running(config, fakes) as sys:
-        began = asyncio.get_running_loop().time()
-        await sys.until(lambda: GAVE_UP in sys.process_events("/fails"))
-        assert abs(asyncio.get_running_loop().time() - began - 7.0) < 0.1
-        await sys.until(lambda: STARTED in sys.process_events("/starts"))
-        assert abs(asyncio.get_running_loop().time() - began - 9.0) < 0.1
-    assert sys.gave_up() == {"/fails": "it waited for /early to exit with status 0: not within 7 s"}
-    assert "/fails is not started: it waited" in caplog.text
-    assert "/starts starts all the same: it waited for /early" in caplog.text
 
 
 async def test_a_long_wait_is_reported(caplog: pytest.LogCaptureFixture) -> None:

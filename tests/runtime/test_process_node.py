@@ -9,10 +9,10 @@ from play_launch.config.dependency import Condition, Dependency, StartRule
 from play_launch.config.model import OnExit
 from play_launch.control.units import rows_of
 from play_launch.process.exit import Exit
-from play_launch.runtime.commands import StartError
+from play_launch.runtime.launcher import StartError
 from play_launch.supervisor.events import ProcessEventKind
 
-from .fakes import FakeLauncher, FakeProcess, container, process, system
+from .fakes import FakeLauncher, FakeProcess, process, system
 from .jumping_loop import run
 from .running import Running, running
 
@@ -41,21 +41,6 @@ def test_it_runs_once(exit_: Exit, code: int) -> None:
     assert sys.outcome.exit_code == code
 
 
-@pytest.mark.parametrize(("exit_", "code"), [(Exit(), 0), (Exit(code=3), 1), (Exit(signal=11), 1)])
-async def test_its_end_is_that_of_the_system(exit_: Exit, code: int) -> None:
-    fakes = FakeLauncher()
-    config = system(process("p", on_exit=OnExit.SHUTDOWN), process("q"), container("c", "n"))
-    async with running(config, fakes) as sys:
-        await sys.until_loaded(1)
-        await sys.until(lambda: STARTED in sys.process_events("/q"))
-        fakes.processes["/p"][0].end(exit_)
-        await sys.until_stopped()
-    assert sys.process_events("/q") == [STARTED, STOPPING, EXITED]
-    assert sys.outcome is not None
-    assert sys.outcome.reason == "/p has ended"
-    assert sys.outcome.exit_code == code
-
-
 async def test_what_cannot_be_started_ends_the_system_as_well() -> None:
     fakes = FakeLauncher(failures={"/p": StartError("no file", permanent=True)})
 
@@ -63,7 +48,7 @@ async def test_what_cannot_be_started_ends_the_system_as_well() -> None:
     async with running(config, fakes) as sys:
         await sys.until_stopped()
     assert sys.outcome is not None
-    assert (sys.outcome.reason, sys.outcome.exit_code) == ("/p has ended", 1)
+    assert (sys.stop.reason, sys.outcome.exit_code) == ("/p has ended", 1)
 
 
 async def test_who_stops_it_does_not_mean_the_system() -> None:
@@ -171,3 +156,12 @@ async def test_what_is_stopped_between_two_starts_or_before_the_first_is_stopped
         await sys.until(lambda: row(sys, "/restarts") == "stopped")
         sys.operated.start("/restarts")
         await sys.until(lambda: row(sys, "/restarts") == "running")
+
+
+async def test_a_process_between_two_starts_is_missing() -> None:
+    async with running(system(process("p", on_exit=OnExit.RESTART)), FakeLauncher()) as sys:
+        await sys.until(lambda: STARTED in sys.process_events("/p"))
+        sys.launcher.processes["/p"][0].end(Exit(signal=11))
+        await sys.until(lambda: RESTARTING in sys.process_events("/p"))
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 3

@@ -17,7 +17,7 @@ from play_launch.control.feed import Feed
 from play_launch.control.messages import ActionRequest, ActionResult, Caller, Results
 from play_launch.control.protocol import OperationError
 from play_launch.process.exit import Exit
-from play_launch.runtime.commands import StartError
+from play_launch.runtime.launcher import StartError
 from play_launch.supervisor.events import ProcessEventKind
 from play_launch.supervisor.plan import Result
 

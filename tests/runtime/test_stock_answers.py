@@ -24,17 +24,6 @@ async def event(link: StockLink, kind: ComponentEventKind) -> ComponentEvent:
 LOADED, LOAD_FAILED = ComponentEventKind.LOADED, ComponentEventKind.LOAD_FAILED
 
 
-async def test_a_name_that_was_there_before_is_refused_and_nothing_is_sent() -> None:
-    services = Services()
-    services.nodes = {1: "/a"}
-    link = await greeted(services)
-    link.send(load(1, "a"))
-    failed = await event(link, LOAD_FAILED)
-    assert "has a node of that name already (unique_id 1)" in failed.error_message
-    assert not services.loads
-    link.close()
-
-
 async def test_a_name_that_has_become_free_meanwhile_is_loaded() -> None:
     services = Services()
     services.nodes = {1: "/a"}

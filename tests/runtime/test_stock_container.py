@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from types import MappingProxyType
 
 import pytest
@@ -23,19 +22,13 @@ from play_launch.runtime.stock_link import load_node_request
 from .fakes import container, system
 
 
-def test_without_stock_containers_nothing_takes_part_in_ros() -> None:
-    before = threading.active_count()
-    stock = StockContainers.of(system(container("a", "x")))
-    assert threading.active_count() == before
-    stock.close()
-
-
 def test_each_domain_has_a_participant(ros_domain: int, other_domain: int) -> None:
     here = replace(container("a"), container_type=ContainerType.STOCK)
     elsewhere = replace(
         here, full_name="/b", environment=MappingProxyType({"ROS_DOMAIN_ID": str(other_domain)})
     )
-    stock = StockContainers.of(system(here, elsewhere, replace(here, full_name="/c")))
+    stock = StockContainers()
+    stock.extend(system(here, elsewhere, replace(here, full_name="/c")))
     try:
         assert {each.domain_id for each in stock._threads.values()} == {ros_domain, other_domain}
     finally:
@@ -50,7 +43,7 @@ def test_what_keeps_ros_from_working_is_told(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("play_launch.ros.thread.RosThread.until_started", refuse)
     config = system(replace(container("a"), container_type=ContainerType.STOCK))
     with pytest.raises(NotInstalledError, match=r"no such network.*doctor"):
-        StockContainers.of(config)
+        StockContainers().extend(config)
 
 
 def test_a_request_holds_everything_with_its_type() -> None:

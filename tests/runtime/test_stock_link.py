@@ -12,20 +12,18 @@ from play_launch.container.messages import (
     Cancel,
     Hello,
     Load,
-    NodeStatusState,
     Query,
     Rejected,
     Shutdown,
     Unload,
 )
-from play_launch.ros.composition import LoadReply
 from play_launch.ros.thread import RosThreadError
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 
 from .stock_services import Services, ask, greeted, link_to, load, settle, status
 
 LOADED, UNLOADED = ComponentEventKind.LOADED, ComponentEventKind.UNLOADED
-LOADING, LOAD_FAILED = ComponentEventKind.LOADING, ComponentEventKind.LOAD_FAILED
+LOADING = ComponentEventKind.LOADING
 
 
 async def test_it_says_hello_when_the_container_lists_its_nodes() -> None:
@@ -66,51 +64,6 @@ async def test_a_load_is_told_step_by_step() -> None:
     assert isinstance(loaded, ComponentEvent)
     assert (loaded.kind, loaded.unique_id, loaded.full_node_name) == (LOADED, 11, "/a")
     assert (loaded.package_name, loaded.plugin_name) == ("demo", "demo::Node")
-    link.close()
-
-
-async def test_who_waits_is_queued_and_not_asked_about() -> None:
-    services = Services()
-    link = await greeted(services)
-    link.send(load(1, "a"))
-    link.send(load(2, "b"))
-    await settle()
-    before = services.lists
-    answer = await ask(link)
-    assert [each.state for each in answer.nodes] == [
-        NodeStatusState.QUEUED,
-        NodeStatusState.QUEUED,
-    ]
-    assert services.lists == before, "the load is young, so nobody needs to be asked"
-    assert len(services.loads) == 1
-    link.close()
-
-
-async def test_a_container_that_answers_nothing_still_constructs() -> None:
-    services = Services()
-    link = await greeted(services)
-    link.send(load(1, "a"))
-    await asyncio.sleep(10)
-    services.answers_lists = False
-    for _ in range(20):
-        (node,) = (await ask(link)).nodes
-        assert node.state is NodeStatusState.CONSTRUCTING
-        assert "answers nothing meanwhile" in node.note
-        await asyncio.sleep(15)
-    assert len(services.loads) == 1
-    services.answers_lists = True
-    services.construct()
-    await settle()
-    assert (await ask(link)).nodes[0].state is NodeStatusState.LOADED
-    link.close()
-
-
-async def test_a_load_that_nobody_knows_is_unknown() -> None:
-    services = Services()
-    link = await greeted(services)
-    link.send(load(1, "a"))
-    await asyncio.sleep(10)
-    assert (await ask(link)).nodes == ()
     link.close()
 
 
@@ -156,18 +109,6 @@ async def test_a_container_whose_services_are_away_takes_no_place() -> None:
     assert len(away.loads) == 1
     one.close()
     two.close()
-
-
-async def test_a_failure_is_told_with_its_reason() -> None:
-    services = Services()
-    link = await greeted(services)
-    link.send(load(1, "a"))
-    await link.receive()
-    services.loads[0][1].set_result(LoadReply(False, "no such plugin"))
-    failed = await link.receive()
-    assert isinstance(failed, ComponentEvent)
-    assert (failed.kind, failed.error_message) == (LOAD_FAILED, "no such plugin")
-    link.close()
 
 
 async def test_unloading_without_an_answer_is_decided_by_the_list() -> None:

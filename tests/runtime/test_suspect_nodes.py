@@ -16,7 +16,7 @@ from play_launch.container.messages import Load, Query
 from play_launch.control.event_words import event_object
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
-from play_launch.runtime.commands import StartError
+from play_launch.runtime.launcher import StartError
 from play_launch.runtime.probes import probe_library
 from play_launch.supervisor.events import (
     ComponentEvent,

@@ -286,7 +286,7 @@ async def test_the_duration_ends_a_run() -> None:
         await sys.stop.requested.wait()
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 0
-    assert sys.outcome.reason == "its duration of 30 s is over"
+    assert sys.stop.reason == "its duration of 30 s is over"
     assert sys.outcome.view.loaded == 1
     assert sys.outcome.view.containers["/c"].state is ContainerState.RUNNING
     assert sys.outcome.final_view.containers["/c"].state is ContainerState.STOPPED

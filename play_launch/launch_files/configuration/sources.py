@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.config.model import FOR_ALL, ParameterConfig, ParameterType
 from play_launch.config.problems import Report
-from play_launch.container.command import parameter_file_text
+from play_launch.container.parameter_files import parameter_file_text
 from play_launch.launch_files.configuration.yaml_text import Verbatim
 from play_launch.launch_files.parameters import is_for, read_sections
 from play_launch.launch_files.records import Composable, Losses, ParameterFile, Values

@@ -9,7 +9,6 @@ import logging
 import math
 import os
 import random
-import signal
 import socket
 from functools import partial
 from typing import TYPE_CHECKING, Final
@@ -188,7 +187,7 @@ class TopicRecording:
             async with asyncio.timeout(_LONGEST_END):
                 await self._link.ended()
                 await self._child.wait()
-        self._child.signal_group(signal.SIGKILL)
+        self._child.kill()
         await self._child.gone()
         self._link.close()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import socket
 from contextlib import closing
 from typing import TYPE_CHECKING
@@ -19,7 +18,6 @@ from play_launch.container.channel import (
     ControlError,
     ProtocolViolationError,
     VersionMismatchError,
-    control_pair,
 )
 from play_launch.container.codec import EncodeError, FrameDecoder, encode_frame, encode_message
 from play_launch.container.messages import (
@@ -114,11 +112,10 @@ class Container:
 
 @pytest.fixture
 async def container() -> AsyncIterator[Container]:
-    pair = control_pair()
-    with socket.socket(fileno=os.dup(pair.child_fd)) as end:
-        pair.close_child_end()
-        yield Container(end, pair.ours)
-    pair.close()
+    end, other_end = socket.socketpair()
+    with end, other_end:
+        end.setblocking(False)
+        yield Container(end, other_end)
 
 
 @pytest.fixture
@@ -335,14 +332,3 @@ async def test_closing_wakes_the_reader(channel: ControlChannel, container: Cont
         channel.send(Shutdown(reason=""))
     assert await asyncio.get_running_loop().sock_recv(container.socket, 1) == b""
     assert "by the supervisor" in repr(channel)
-
-
-async def test_neither_end_is_inherited_by_chance() -> None:
-    with control_pair() as pair:
-        assert not os.get_inheritable(pair.child_fd)
-        assert not pair.ours.get_inheritable()
-        assert pair.environment == {"PLAY_LAUNCH_CONTROL_FD": str(pair.child_fd)}
-        descriptors = [pair.child_fd, pair.ours.fileno()]
-    for descriptor in descriptors:
-        with pytest.raises(OSError, match="Bad file descriptor"):
-            os.fstat(descriptor)

@@ -14,7 +14,6 @@ from play_launch.container.codec import (
     Frame,
     FrameDecoder,
     FrameError,
-    FrameLengthError,
     encode_frame,
 )
 
@@ -58,18 +57,11 @@ def test_a_bad_length_ends_the_stream_after_the_good_frames(
     decoder = FrameDecoder()
     got: list[Frame] = []
     data = encoded(frames) + struct.pack("<I", length) + rest
-    error: FrameError | None = None
     for piece in pieces(data, cuts):
-        try:
-            got += decoder.feed(piece)
-        except FrameLengthError as caught:
-            error = caught
+        got += decoder.feed(piece)
     assert got == frames
-    assert isinstance(decoder.error, FrameLengthError)
-    assert decoder.error.length == length
-    assert error in {None, decoder.error}
-    with pytest.raises(FrameLengthError, match=str(length)):
-        decoder.feed(b"")
+    assert str(length) in str(decoder.error)
+    assert decoder.feed(encoded(frames)) == []
 
 
 def test_the_layout_is_the_one_agreed_on() -> None:
@@ -80,5 +72,5 @@ def test_the_largest_frame_passes_and_a_larger_one_does_not() -> None:
     payload = bytes(MAX_FRAME_LENGTH - 4)
     decoder = FrameDecoder()
     assert decoder.feed(encode_frame(2, payload)) == [Frame(2, 1, payload)]
-    with pytest.raises(FrameLengthError):
+    with pytest.raises(FrameError):
         encode_frame(2, payload + b"x")

@@ -11,10 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
-from play_launch.container.command import (
+from play_launch.container.parameter_files import (
     ParameterFileError,
     parameter_file_text,
-    write_parameter_file,
 )
 from play_launch.ros.parameters import to_parameter_message
 from tests.container.channel.peer import from_parameter_message
@@ -116,7 +115,8 @@ def check_with_rcl(directory: Path, drawn: list[ParameterValue]) -> None:
 
     wanted = {f"group.p{number}": value for number, value in enumerate(drawn)}
     parameters = [ParameterConfig(name, value) for name, value in wanted.items()]
-    path = write_parameter_file(parameter_file_text([("/**", parameters)]), directory)
+    path = directory / "parameters.yaml"
+    path.write_text(parameter_file_text([("/**", parameters)]), encoding="utf-8")
     context = begin(["--ros-args", "--params-file", str(path)])
     try:
         node = Node(

@@ -18,7 +18,6 @@ from play_launch.container.command import (
     container_argv,
     find_executable,
     process_argv,
-    stock_container_argv,
 )
 
 BINARY = Path("/opt/lib/component_container")
@@ -59,8 +58,6 @@ def test_a_prefix_comes_first() -> None:
     prefix = ("gdb", "-ex", "set print on", "--args")
     own = container_argv(container(prefix=prefix), BINARY)
     assert own == (*prefix, *container_argv(container(), BINARY))
-    stock = stock_container_argv(container(prefix=prefix), BINARY)
-    assert stock == (*prefix, *stock_container_argv(container(), BINARY))
     assert process_argv(process(prefix=prefix, command=("x", "-y"))) == (*prefix, "x", "-y")
     installed = process_argv(process(prefix=prefix, arguments=("-y",)), executable=Path("/x"))
     assert installed == (*prefix, "/x", "-y")
@@ -99,7 +96,7 @@ def test_a_stock_container_gets_its_arguments_before_those_for_ros() -> None:
         log_level="warn",
         ros_arguments=("-p", "thread_num:=4"),
     )
-    assert stock_container_argv(config, Path("/x/component_container_isolated")) == (
+    assert container_argv(config, Path("/x/component_container_isolated")) == (
         "/x/component_container_isolated",
         "--use_multi_threaded_executor",
         "--ros-args",

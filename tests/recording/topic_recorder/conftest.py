@@ -21,7 +21,7 @@ def _loop_is_never_blocked() -> Iterator[None]:
         functions = blockbuster.functions
         functions["os.read"].can_block_in("subprocess.py", "_execute_child")
         functions["socket.socket.recv"].can_block_in("process/guard.py", "_ask")
-        functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_file")
+        functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_command_file")
         for name in ("os.stat", "os.access"):
             functions[name].can_block_in("process/program.py", "check_program")
         yield
