@@ -23,8 +23,12 @@ if TYPE_CHECKING:
 LOGGER_NAME: Final = "play_launch"
 """The logger above all of this package's."""
 
+MOST_WAITING: Final = 10_000
+"""Records of other loggers that wait to be published."""
+
 _NANOSECONDS: Final = 1_000_000_000
 _HIGHEST: Final = 50
+_log = logging.getLogger(__name__)
 _python_log = logging.getLogger("python")
 
 
@@ -43,7 +47,7 @@ def log_published(publish: Callable[[LogRecord], None]) -> Iterator[None]:
     queue: SimpleQueue[logging.LogRecord] = SimpleQueue()
     listener = QueueListener(queue, handler)
     listener.start()
-    others = QueueHandler(queue)
+    others = _BoundedQueueHandler(queue)
     before = ours.level, ours.propagate, sys.unraisablehook, threading.excepthook
     ours.addHandler(handler)
     root.addHandler(others)
@@ -53,12 +57,29 @@ def log_published(publish: Callable[[LogRecord], None]) -> Iterator[None]:
     sys.unraisablehook, threading.excepthook = _log_unraisable, _log_end_of_thread
     try:
         yield
+        if others.dropped:
+            _log.warning("%d records of other loggers are not recorded", others.dropped)
     finally:
         logging.captureWarnings(capture=False)
         root.removeHandler(others)
         ours.removeHandler(handler)
         ours.level, ours.propagate, sys.unraisablehook, threading.excepthook = before
         listener.stop()
+
+
+class _BoundedQueueHandler(QueueHandler):
+    """Drops and counts what comes faster than it is published."""
+
+    def __init__(self, waiting: SimpleQueue[logging.LogRecord]) -> None:
+        super().__init__(waiting)
+        self.dropped = 0
+        self._waiting = waiting
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        if self._waiting.qsize() >= MOST_WAITING:
+            self.dropped += 1
+        else:
+            super().enqueue(record)
 
 
 def _log_unraisable(unraisable: sys.UnraisableHookArgs) -> None:

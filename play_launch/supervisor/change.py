@@ -156,7 +156,7 @@ def _result(world: World, change: Change, each: OpenStep, now: float) -> str | N
 
 
 def _result_in(world: World, plan_step: Step) -> str | None:
-    """The same, from what became of the unit that a step is about."""
+    """The same, from the state of the unit of a step."""
     unit, action = world.find(plan_step.name), plan_step.action
     is_stuck = isinstance(unit, Process) and unit.is_stuck
     if plan_step.kind is PlanKind.SESSION:

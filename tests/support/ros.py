@@ -71,9 +71,13 @@ class Probe:
             self.node.destroy_client(client)
 
     def load(
-        self, plugin: str, *, package: str = "play_launch_demo", container: str = "/container",
+        self,
+        plugin: str,
+        *,
+        package: str = "play_launch_demo",
+        container: str = "/container",
         **fields: Any,
-    ) -> Any:  # fmt: skip
+    ) -> Any:
         """Load a component by the container's service; the response."""
         plugin = plugin if "::" in plugin else f"{package}::{plugin}"
         request = LoadNode.Request(package_name=package, plugin_name=plugin, **fields)

@@ -114,7 +114,7 @@ async def _run(job: Job, text: str) -> Description | EvaluationFailure:
             return msgspec.msgpack.decode(content, type=Description | EvaluationFailure)
     finally:
         guard.close()
-    what = f"it is not evaluated after {job.limit:g} s, and does not say why"
+    what = f"its evaluation gave no result within {job.limit:g} s"
     if ended is not None:
         what = f"it ends its own evaluation: {ended}"
     return EvaluationFailure(what, LaunchOrigin(Place(job.path)))

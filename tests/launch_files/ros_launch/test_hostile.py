@@ -80,7 +80,7 @@ signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
 time.sleep(1000)
 """
     error = prefix.error("a.launch.py", text, limit=3)
-    assert error == "a.launch.py: it is not evaluated after 3 s, and does not say why"
+    assert error == "a.launch.py: its evaluation gave no result within 3 s"
 
 
 def test_nothing_is_left_behind(prefix: Prefix, tmp_path: Path) -> None:
