@@ -16,7 +16,7 @@ demo:
 
 # Run all tests, on all processors.
 test-all *arguments:
-    {{python}} -m pytest -n auto --dist worksteal --durations 20 {{arguments}}
+    {{python}} -m pytest -n auto --dist loadfile --durations 20 {{arguments}}
 
 # Run what is named, one after the other: just test tests/supervisor -k restart
 test *arguments:

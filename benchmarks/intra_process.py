@@ -38,7 +38,7 @@ LARGE_SEGMENT: Final = Path(__file__).parents[1] / "fixtures" / "fastdds" / "lar
 MOST_OF_STANDARD, LEAST_OF_DDS = 1.2, 20.0
 """The goals: `isolated` takes at most so many times as long as `standard`, and DDS at least."""
 _WARM_UP: Final = 10
-_PATIENCE: Final = 30.0
+_TIMEOUT: Final = 30.0
 """Seconds beyond the time that the images take."""
 _LOOK_EVERY: Final = 0.05
 # What ImageTimer leaves before its samples.
@@ -113,7 +113,7 @@ async def measure(variant: Variant, images: int, rate: float) -> list[float]:
         )
         running = asyncio.ensure_future(run_system(config, Publisher(failures), stop))
         try:
-            deadline = time.monotonic() + wanted / rate + _PATIENCE
+            deadline = time.monotonic() + wanted / rate + _TIMEOUT
             while figures[_COUNT] < wanted and not failures.texts and not running.done():
                 if time.monotonic() > deadline:
                     break

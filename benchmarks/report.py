@@ -2,8 +2,9 @@
 
     python -m benchmarks.report [--runs N] [--hours H] [--nodes N] [--pictures FOLDER]
 
-Opening and zooming are measured in the machine's Chromium, without a screen; where there is none
-they are left out. With --pictures, screenshots of a short session go into that folder instead.
+Opening and zooming are measured in the machine's Chromium, without a screen; unless it is
+installed they are left out. With --pictures, screenshots of a short session go into that folder
+instead.
 """
 
 from __future__ import annotations

@@ -37,8 +37,7 @@ from benchmarks.progress import Progress
 from benchmarks.statistics import header, row
 from play_launch.postmortem.archive import complete_files
 from play_launch.recording.folder import BAG_NAME, parts_of
-from play_launch.recording.session import METADATA_NAME
-from play_launch.recording.topics import OUTPUT
+from play_launch.recording.topics import METADATA_NAME, OUTPUT
 from play_launch.ros.fastdds.shared_memory import sweep_shared_memory
 
 COMMAND = Path(sys.prefix) / "bin" / "play-launch"

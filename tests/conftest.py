@@ -26,7 +26,7 @@ from tests.support.loopback_network import leave_shared_memory
 
 pytest_plugins = ["tests.support.turns"]
 
-# Those from 81 to 101 are of the tests in C++, the ports of higher ones are anybody's.
+# Those from 81 to 101 are of the tests in C++, the ports of higher ones are free for all.
 DOMAINS = range(1, 81)
 
 
@@ -77,11 +77,12 @@ load_interfaces()
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGQUIT, signal.SIG_DFL)
 
-# How long an example takes says nothing where other tests run at the same time. The same tree is
+# The time of an example means nothing where other tests run at the same time. The same tree is
 # tried with the same examples; `--hypothesis-profile search` looks for others.
 hypothesis.settings.register_profile(
     "tests",
     hypothesis.settings(),
+    max_examples=50,
     deadline=None,
     derandomize=True,
     suppress_health_check=[hypothesis.HealthCheck.too_slow],

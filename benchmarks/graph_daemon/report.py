@@ -88,7 +88,7 @@ def written(name: str, value: float | None) -> str:
 
 
 def goals(subjects: Subjects) -> list[Goal]:
-    """Ours beside ros2cli's where that was measured, and by itself."""
+    """Ours, beside ros2cli's where that was measured."""
     ours = subjects[OURS.name]
     found = []
     if STOCK.name in subjects:

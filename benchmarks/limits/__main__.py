@@ -37,7 +37,7 @@ from play_launch.runtime.signals import StopRequests
 RATE: Final = 1000.0
 _SETTLE: Final = 0.5
 """Seconds from the first beat, or the start of the greedy node, to the measured part."""
-_PATIENCE: Final = 60.0
+_TIMEOUT: Final = 60.0
 _COUNT, _MISSED, _HEADER = 1, 2, 3
 # What ControlLoop leaves before its samples.
 _LOOK_EVERY: Final = 0.05
@@ -89,7 +89,7 @@ async def measure_stock(seconds: float, row: Row) -> None:
 
 def _room(seconds: float) -> int:
     """How many beats fit: also those while all comes up."""
-    return round((seconds + 2 * _PATIENCE) * RATE)
+    return round((seconds + 2 * _TIMEOUT) * RATE)
 
 
 def _figures(seconds: float) -> Figures:
@@ -101,7 +101,7 @@ def _control(seconds: float) -> dict[str, object]:
 
 
 async def _until(is_up: Callable[[], bool], name: str, failures: Failures) -> None:
-    deadline = time.monotonic() + _PATIENCE
+    deadline = time.monotonic() + _TIMEOUT
     while not is_up():
         if failures.texts or time.monotonic() > deadline:
             why = "; ".join(failures.texts) or "no reason is known"

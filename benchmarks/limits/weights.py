@@ -4,7 +4,7 @@
 
 Takes the controllers of control groups; a machine that has them runs it by
 
-    tests/guest/run benchmarks/limits/weights_in_guest
+    python -m tests.guest benchmarks/limits/weights_in_guest
 
 All nodes run all the time on one CPU; what changes, every fraction of a second and in turn, is the
 weight of their groups, so that whatever disturbs the machine meets all of them. Measured is first
@@ -40,7 +40,7 @@ _BEATS, _HEADER = 1, 3
 # What ControlLoop leaves: its pid, the number of beats, that of missed ones, then the samples.
 _SETTLE: Final = 0.4
 """Seconds after a change, which are not measured: what one got too little of before comes first."""
-_PATIENCE: Final = 120.0
+_TIMEOUT: Final = 120.0
 _US: Final = 1e3
 _CPU: Final = [0]
 
@@ -102,7 +102,7 @@ async def measure(
     )
     running = asyncio.ensure_future(run_system(config, Publisher(pids), stop))
     try:
-        async with asyncio.timeout(_PATIENCE):
+        async with asyncio.timeout(_TIMEOUT):
             await pids.are_complete.wait()
         first, second = (_group(pids.found[name]) for name in ("/own", "/greedy"))
         for _ in range(windows):
@@ -181,7 +181,7 @@ def main(words: Sequence[str] | None = None) -> None:
     keep_to_this_machine()
     windows, seconds = arguments.windows, arguments.seconds
     # A host may have no time for a virtual machine: far more than the windows take.
-    room = round((windows * len(BEATS) * (seconds + _SETTLE) * 4 + 2 * _PATIENCE) * _RATE)
+    room = round((windows * len(BEATS) * (seconds + _SETTLE) * 4 + 2 * _TIMEOUT) * _RATE)
     beats = {"figures": 0, "samples": room, "rate": _RATE}
     print(f"{windows} x {seconds:g} s of each, load {os.getloadavg()[0]:.0f}")
     with Figures(_HEADER + room) as figures:

@@ -14,7 +14,7 @@ from benchmarks.long_session.story import make_up
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
-from play_launch.recording.session import METADATA_NAME
+from play_launch.recording.topics import METADATA_NAME
 
 CHUNK = 0.25
 """Seconds after which a chunk ends, as it does in the recorder."""

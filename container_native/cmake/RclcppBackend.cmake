@@ -60,6 +60,8 @@ function(add_rclcpp_backend target)
   target_link_libraries(${target} PRIVATE console_bridge::console_bridge)
   file(GLOB sources CONFIGURE_DEPENDS "${CMAKE_CURRENT_SOURCE_DIR}/src/components/rclcpp/*.cpp"
        "${CMAKE_CURRENT_SOURCE_DIR}/src/overrides/rclcpp_*.cpp")
+  # Each for itself: their headers are those of whichever rclcpp is installed.
+  set_source_files_properties(${sources} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
   target_sources(${target} PRIVATE ${sources})
   target_compile_definitions(${target} PRIVATE PLAY_LAUNCH_RCLCPP)
 endfunction()

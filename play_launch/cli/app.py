@@ -14,6 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 from play_launch import UserError
 from play_launch.cli.options import PLAIN
 from play_launch.cli.output import fail, note
+from play_launch.config.text import similar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -103,6 +104,7 @@ _ALL: Final = (
     Verb("node", _GRAPH, "List nodes; show one.", "graph"),
     Verb("topic", _GRAPH, "List topics.", "graph"),
     Verb("service", _GRAPH, "List services.", "graph"),
+    Verb("graph", _GRAPH, "Check the connections.", "graph_check"),
     Verb("daemon", _GRAPH, "Run the graph daemon in place of ros2cli's."),
     Verb("doctor", _SETUP, "Check this machine, with fixes."),
     Verb("completion", _SETUP, "Print the completion script of a shell."),
@@ -142,12 +144,9 @@ class _Commands(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if args[0] not in COMMANDS and not ctx.resilient_parsing:
-            from difflib import get_close_matches  # noqa: PLC0415 - for an error only
-
-            similar = get_close_matches(args[0], COMMANDS, 1)
+            close = similar(args[0], COMMANDS)
             ctx.fail(
-                f"No such command {args[0]!r}."
-                + (f" Did you mean {similar[0]!r}?" if similar else "")
+                f"No such command {args[0]!r}." + (f" Did you mean {close!r}?" if close else "")
             )
         return super().resolve_command(ctx, args)
 

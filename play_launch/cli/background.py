@@ -16,16 +16,11 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.cli.output import printable, stdout_is_kept
+from play_launch.control.event_words import names_of
 from play_launch.process.lines import LineReader
 from play_launch.process.time_slice import run_ahead, run_along
 from play_launch.recording.forms import is_failure
 from play_launch.recording.topic_recorder import SnapshotError
-from play_launch.supervisor.events import (
-    ComponentEvent,
-    ContainerStateChanged,
-    NodeStateChanged,
-    ProcessEvent,
-)
 from play_launch.supervisor.view import is_up
 
 if TYPE_CHECKING:
@@ -45,14 +40,14 @@ if TYPE_CHECKING:
     from play_launch.supervisor.view import SystemView
 
 _log = logging.getLogger(__name__)
-_START_TIME: Final = 1.0
-"""Seconds that the start of the system has for itself."""
 _CONTROL_DELAY: Final = 0.2
 """Seconds from the start of the first processes until commands are answered."""
-_TOPICS_DELAY: Final = 0.1
-"""Seconds from the start until topics and the graph are prepared."""
-_LATEST_TOPICS: Final = 3.0
-"""Seconds after which topics are recorded even though nodes are still being loaded."""
+_GRAPH_DELAY: Final = 0.1
+"""Seconds from the start until the graph is observed."""
+_START_CHECK: Final = 0.1
+"""Seconds between two looks whether the system is up: less of the start than one at each event."""
+_LONGEST_WAIT: Final = 3.0
+"""Seconds after which samples and topics are recorded although nodes are still being loaded."""
 _LONGEST_START: Final = 30.0
 """Seconds after which it runs along even though nodes are still being loaded."""
 _PRIORITY_INTERVAL: Final = 1.0
@@ -102,11 +97,19 @@ class Background(Struct):
                 self.options.manager, self.publisher, self.stop, self.system, self.operable
             ).run()
 
+    async def _system_is_up(self) -> None:
+        """Leave the start of the system to itself."""
+        await asyncio.sleep(_START_CHECK)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_LONGEST_WAIT):
+                while not is_up(self.publisher.view):  # noqa: ASYNC110
+                    await asyncio.sleep(_START_CHECK)
+
     async def _sample(self) -> None:
         period = self.config.record.sampling.period
         if not math.isfinite(period):
             return
-        await asyncio.sleep(_START_TIME)
+        await self._system_is_up()
         from play_launch.process.sampling.sampling import sample  # noqa: PLC0415
 
         folder = self.session.folder
@@ -114,7 +117,7 @@ class Background(Struct):
         await sample(lambda: publisher.view, publisher.publish, period=period, folder=folder)
 
     async def _maintain_recordings(self) -> None:
-        await asyncio.sleep(_START_TIME)
+        await self._system_is_up()
         from play_launch.container.ros import spawn_guard  # noqa: PLC0415
         from play_launch.postmortem.upkeep import look_after_sessions  # noqa: PLC0415
 
@@ -125,12 +128,7 @@ class Background(Struct):
     async def _record_topics(self) -> None:
         if not self.config.record.ros:
             return
-        await asyncio.sleep(_TOPICS_DELAY)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(_LATEST_TOPICS):
-                # A check now and then takes less of the start than one at each event.
-                while not is_up(self.publisher.view):  # noqa: ASYNC110
-                    await asyncio.sleep(_TOPICS_DELAY)
+        await self._system_is_up()
         from play_launch.recording.topic_recorder.supervision import TopicRecording  # noqa: PLC0415
 
         recording = TopicRecording(self.config, self.session.recorder)
@@ -174,7 +172,7 @@ class Background(Struct):
 
     async def _observe_graph(self) -> None:
         if self.config.graph_daemon:
-            await asyncio.sleep(_TOPICS_DELAY)
+            await asyncio.sleep(_GRAPH_DELAY)
             from play_launch.graph_daemon.observer import observe_graph  # noqa: PLC0415
 
             await observe_graph({**os.environ, **self.config.environment}, self.publisher.publish)
@@ -261,21 +259,11 @@ class FailureWatch:
         self._reason = ""
 
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:  # noqa: ARG002 - a sink
-        if self._stop.requested.is_set() or self._failed.is_set() or not is_failure(event):
-            return
-        match event:
-            case ComponentEvent():
-                name = event.full_node_name or event.plugin_name
-            case ProcessEvent():
-                name = event.name
-            case NodeStateChanged():
-                name = event.node
-            case ContainerStateChanged():
-                name = event.container
-            case _:
-                return
-        self._reason = f"{name} failed"
-        self._failed.set()
+        names = names_of(event)
+        is_seen = self._stop.requested.is_set() or self._failed.is_set()
+        if names and not is_seen and is_failure(event):
+            self._reason = f"{names[0]} failed"
+            self._failed.set()
 
     async def run(self) -> None:
         while True:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from msgspec.structs import asdict
@@ -107,12 +107,12 @@ def describe(config: ReplayConfig) -> str:
 def _graph_text(config: ReplayConfig) -> str:
     """Give each unit a line, in the order of the file, and what it waits for below it."""
     lines = []
-    for unit in _start_units(config):
-        indentation = "  " if unit.container else ""
-        waits = [f"waits for {each}{_limit(each)}" for each in unit.rule.dependencies]
-        if unit.rule.delay:
-            waits.append(f"waits {unit.rule.delay:g} s")
-        lines.append(f"{indentation}{unit.label}")
+    for name, container, rule in _start_units(config):
+        indentation = "  " if container else ""
+        waits = [f"waits for {each}{_limit(each)}" for each in rule.dependencies]
+        if rule.delay:
+            waits.append(f"waits {rule.delay:g} s")
+        lines.append(f"{indentation}{name.removeprefix(f'{container}:')}")
         lines += [f"{indentation}    {wait}" for wait in waits]
     return "\n".join(lines)
 
@@ -122,38 +122,30 @@ def _graph_values(config: ReplayConfig) -> dict[str, object]:
     units = list(_start_units(config))
     return {
         "units": [
-            {"unit": each.name, "container": each.container or None, "delay": each.rule.delay}
-            for each in units
+            {"unit": name, "container": container or None, "delay": rule.delay}
+            for name, container, rule in units
         ],
         "dependencies": [
             {
-                "of": each.name,
+                "of": name,
                 "condition": str(dependency.condition),
                 "on": dependency.unit or None,
                 "subject": dependency.subject or None,
                 "timeout": dependency.timeout if math.isfinite(dependency.timeout) else None,
                 "on_timeout": str(dependency.on_timeout),
             }
-            for each in units
-            for dependency in each.rule.dependencies
+            for name, _, rule in units
+            for dependency in rule.dependencies
         ],
     }
 
 
-class _StartUnit(NamedTuple):
-    name: str
-    label: str
-    container: str
-    rule: StartRule
-
-
-def _start_units(config: ReplayConfig) -> Iterator[_StartUnit]:
+def _start_units(config: ReplayConfig) -> Iterator[tuple[str, str, StartRule]]:
+    """Yield each unit, the container of a node (else empty), and what the unit waits for."""
     for member, nodes in config.units.items():
-        rule = config.start_rules.get(member, StartRule())
-        yield _StartUnit(member, member, "", rule)
-        for node in nodes:
-            label = node.removeprefix(f"{member}:")
-            yield _StartUnit(node, label, member, config.start_rules.get(node, StartRule()))
+        for unit in (member, *nodes):
+            container = "" if unit == member else member
+            yield unit, container, config.start_rules.get(unit, StartRule())
 
 
 def _limit(dependency: Dependency) -> str:

@@ -1,4 +1,4 @@
-"""What ``play-launch compare`` does: says what became worse or better between two sessions."""
+"""Verb ``compare``: what is worse or better in the second of two sessions."""
 
 from __future__ import annotations
 
@@ -104,11 +104,11 @@ def _sections(found: Comparison) -> dict[str, Sequence[str]]:
 def _change(change: Deviation) -> str:
     scale = 1e-6 if change.measure is Measure.PEAK_MEMORY else 1.0
     words = _SAYS[change.measure].format(change.before * scale, change.after * scale)
-    return f"{change.who} {words}"
+    return f"{change.name} {words}"
 
 
 def _crash(change: CrashChange, how_often: str) -> str:
-    return f"{change.signature.id} {change.signature}, {how_often}, {', '.join(change.who)}"
+    return f"{change.signature.id} {change.signature}, {how_often}, {', '.join(change.units)}"
 
 
 def _counts(change: CrashChange) -> str:

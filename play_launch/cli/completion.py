@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from play_launch.control.sessions import Seen
 
 COMPLETE_VARIABLE: Final = "_PLAY_LAUNCH_COMPLETE"
 _MEMBERS, _COMPONENTS = frozenset({"container", "process"}), frozenset({"component"})
 _NODES: Final = frozenset({"component", "process"})
 _KINDS: Final = {
-    **dict.fromkeys(("start", "stop", "restart"), _MEMBERS),
-    **dict.fromkeys(("load", "unload", "reload"), _COMPONENTS),
+    **dict.fromkeys(MEMBER_ACTIONS, _MEMBERS),
+    **dict.fromkeys(NODE_ACTIONS, _COMPONENTS),
     **dict.fromkeys(("get", "set", "dump"), _NODES),
 }
 """Kinds that a command works on; all for the others."""
@@ -58,7 +59,7 @@ def completion(
 def sessions(_ctx: typer.Context, incomplete: str) -> list[tuple[str, str]]:
     """List names and pids of the running sessions."""
     found = []
-    for each in _seen("ps", ()):
+    for each, _ in _seen("ps", ()):
         found += [(each.name, each.folder), (str(each.pid), f"{each.name}, {each.folder}")]
     return [pair for pair in found if pair[0].startswith(incomplete)]
 
@@ -68,13 +69,12 @@ def units(ctx: typer.Context, incomplete: str) -> list[tuple[str, str]]:
     kinds = _KINDS.get(ctx.info_name or "")
     given = {*(ctx.params.get("names") or ())}
     found: dict[str, str] = {}
-    for each in _meant(ctx, "ps", ()):
-        for row in each.rows:
-            name = str(row["name"])
-            if incomplete and incomplete[0] != "/":
-                name = name.rpartition("/")[2]
-            if (kinds is None or row["kind"] in kinds) and name not in given:
-                found[name] = f"{row['kind']}, {row['state']}"
+    for row in _rows(ctx, "ps", ()):
+        name = str(row["name"])
+        if incomplete and incomplete[0] != "/":
+            name = name.rpartition("/")[2]
+        if (kinds is None or row["kind"] in kinds) and name not in given:
+            found[name] = f"{row['kind']}, {row['state']}"
     return [pair for pair in found.items() if pair[0].startswith(incomplete)]
 
 
@@ -82,12 +82,8 @@ def parameters(ctx: typer.Context, incomplete: str) -> list[str]:
     """List the parameters of the node on the line, as far as its session knows them."""
     node = ctx.params.get("node") or ""
     given = ctx.params.get("parameters") or ()
-    found = [
-        str(name)
-        for each in _meant(ctx, "parameters", (node,))
-        for row in each.rows
-        for name in row["parameters"]
-    ]
+    rows = _rows(ctx, "parameters", (node,))
+    found = [str(name) for row in rows for name in row["parameters"]]
     return [name for name in found if name.startswith(incomplete) and name not in given]
 
 
@@ -112,13 +108,13 @@ def launch_files(ctx: typer.Context, incomplete: str) -> list[str]:
     return sorted(name for name in names if name.startswith(incomplete))
 
 
-def _meant(ctx: typer.Context, operation: str, names: tuple[str, ...]) -> Iterator[Seen]:
+def _rows(ctx: typer.Context, operation: str, names: tuple[str, ...]) -> Iterator[dict[str, Any]]:
     """Query the sessions that ``--session`` on the line selects."""
     session = str(ctx.params.get("session") or "").rstrip("/")
-    for each in _seen(operation, names):
+    for each, rows in _seen(operation, names):
         folder = each.folder.rstrip("/")
         if not session or session in {each.name, str(each.pid), folder, Path(folder).name}:
-            yield each
+            yield from rows
 
 
 def _seen(operation: str, names: tuple[str, ...]) -> Any:

@@ -121,14 +121,10 @@ def enter_environment_of(client: ControlClient) -> None:
     Root becomes the user of the session before that: profiles and middleware, which that user
     chooses, load libraries. Raises OperationError.
     """
-    from play_launch.process.machine import (  # noqa: PLC0415 - slow, and rclpy is slower
-        SHARED_MEMORY_FIX,
-        full_shared_memory,
-        shared_memory_room,
-    )
+    from play_launch.process.machine import full_shared_memory  # noqa: PLC0415 - slow
 
-    if full := full_shared_memory(shared_memory_room()):
-        raise OperationError(Code.REFUSED, f"{full}; fix: {SHARED_MEMORY_FIX}")
+    if full := full_shared_memory():
+        raise OperationError(Code.REFUSED, full)
     found = client.ask("environment")
     user = client.peer()
     if os.geteuid() == 0 and user.uid != 0:

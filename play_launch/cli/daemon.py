@@ -262,14 +262,10 @@ def _facts(status: Mapping[str, Any]) -> list[str]:
 
 def _require_ros() -> None:
     from play_launch.container.ros import middleware_problem, ros_installation  # noqa: PLC0415
-    from play_launch.process.machine import (  # noqa: PLC0415
-        SHARED_MEMORY_FIX,
-        full_shared_memory,
-        shared_memory_room,
-    )
+    from play_launch.process.machine import full_shared_memory  # noqa: PLC0415
 
-    if full := full_shared_memory(shared_memory_room()):
-        fail(f"{full}; fix: {SHARED_MEMORY_FIX}")
+    if full := full_shared_memory():
+        fail(full)
     # Before rcl is loaded: it ends the process that asks for a middleware which is not there.
     problem = middleware_problem(ros_installation())
     if problem is not None:

@@ -100,8 +100,8 @@ def headline(finding: Finding, started_ns: int) -> str:
     at, times = f"{seconds} after the start", len(finding.times_ns)
     when = f"at {at}" if times == 1 else f"{times} times, first at {at}"
     inside = f" in {finding.place.container}" if finding.place.container else ""
-    who = f"{finding.who}{inside} " if finding.who else ""
-    return f"{who}{finding.says.replace('{when}', when).replace('{at}', at)}."
+    name = f"{finding.name}{inside} " if finding.name else ""
+    return f"{name}{finding.says.replace('{when}', when).replace('{at}', at)}."
 
 
 def details(finding: Finding) -> Iterator[str]:
@@ -183,21 +183,21 @@ def _value(value: str) -> str:
 def _downtimes(finding: Finding) -> str:
     by_name: dict[str, list[Downtime]] = {}
     for each in finding.away:
-        by_name.setdefault(each.who, []).append(each)
-    texts = [_downtime(who, each) for who, each in by_name.items()]
+        by_name.setdefault(each.name, []).append(each)
+    texts = [_downtime(name, each) for name, each in by_name.items()]
     more = f" and {len(texts) - _MANY} others" if len(texts) > _MANY else ""
     return f"Downtime: {', '.join(texts[:_MANY])}{more}."
 
 
-def _downtime(who: str, every: Sequence[Downtime]) -> str:
+def _downtime(name: str, every: Sequence[Downtime]) -> str:
     ended = [each.ns for each in every if each.ns is not None]
     if not ended:
-        return f"{who} until the end"
+        return f"{name} until the end"
     at_last = "" if len(ended) == len(every) else ", at last until the end"
     if len(ended) == 1:
-        return f"{who} for {_precisely(ended[0])}{at_last}"
+        return f"{name} for {_precisely(ended[0])}{at_last}"
     total, longest = _precisely(sum(ended)), _precisely(max(ended))
-    return f"{who} {len(ended)} times, {total} in all, {longest} at most{at_last}"
+    return f"{name} {len(ended)} times, {total} in all, {longest} at most{at_last}"
 
 
 def _precisely(nanoseconds: int) -> str:

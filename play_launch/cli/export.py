@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import ExitStack, closing
 from importlib.util import find_spec
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
@@ -15,7 +14,7 @@ from play_launch.cli import options
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import fail, is_passed_on, say, whole_file
 from play_launch.postmortem.export.tables import WRITERS, rows
-from play_launch.postmortem.export.trace import trace_events, write_trace
+from play_launch.postmortem.export.trace import write_trace
 from play_launch.postmortem.timeline import Timeline
 from play_launch.recording.folder import beside
 
@@ -67,11 +66,8 @@ def export(
 
 
 def _write_trace(timeline: Timeline, target: Path) -> str:
-    events = trace_events(timeline)
-    first = next(events, None)  # what is no recording leaves no file behind
     with whole_file(target) as half, half.open("w", encoding="utf-8") as file:
-        about = timeline.session.about
-        write_trace([] if first is None else chain([first], events), about, file)
+        write_trace(timeline, file)
     return "open it in ui.perfetto.dev or chrome://tracing"
 
 

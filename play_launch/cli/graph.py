@@ -68,11 +68,7 @@ def node_list(
 
     def show(client: GraphClient) -> None:
         # A node is hidden by its own name, a topic or service by any part of it: so does ros2cli.
-        nodes = [
-            each
-            for each in client.nodes()
-            if with_hidden or (each.name and not each.name.startswith(_HIDDEN))
-        ]
+        nodes = [each for each in client.nodes() if with_hidden or not each.is_hidden]
         names = [each.full_name for each in nodes]
         if as_json and not count:
             say(json.dumps([{**each._asdict(), "full_name": each.full_name} for each in nodes]))
@@ -82,7 +78,7 @@ def node_list(
             names_twice = _one_line(", ".join(twice))
             warn(f"several nodes have the same name, which ROS does not allow: {names_twice}")
 
-    _asked(show, call_timeout, no_start=no_start)
+    query(show, call_timeout, no_start=no_start)
 
 
 @node.command("info")
@@ -122,7 +118,7 @@ def node_info(
             lines = [f"    {entry.name}: {', '.join(entry.types)}" for entry in sections[key]]
             _print_lines([f"  {title}:", *lines])
 
-    _asked(show, call_timeout, no_start=no_start)
+    query(show, call_timeout, no_start=no_start)
 
 
 def _add_list(group: typer.Typer, noun: str) -> None:
@@ -151,7 +147,7 @@ def _add_list(group: typer.Typer, noun: str) -> None:
             else:
                 _print_lines(entry.name for entry in shown)
 
-        _asked(show, call_timeout, no_start=no_start)
+        query(show, call_timeout, no_start=no_start)
 
     # Annotations that use local names cannot be evaluated.
     hidden = typer.Option("--all", "-a", f"--include-hidden-{noun}s", help="Include hidden ones.")
@@ -166,7 +162,7 @@ _add_list(topic, "topic")
 _add_list(service, "service")
 
 
-def _asked(show: Callable[[GraphClient], None], call_timeout: float, *, no_start: bool) -> None:
+def query(show: Callable[[GraphClient], None], call_timeout: float, *, no_start: bool) -> None:
     """Query the daemon, which is started if none runs, and print."""
     address = daemon_address()
     client = GraphClient(address, call_timeout)

@@ -11,8 +11,7 @@ from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.output import counted, note, printable, say, warn
 from play_launch.postmortem.timeline import read_timeline
-from play_launch.recording.bag import PART_METADATA
-from play_launch.recording.recorder import DROPS_METADATA
+from play_launch.recording.topics import DROPS_METADATA, PART_METADATA
 
 if TYPE_CHECKING:
     from play_launch.postmortem.bag_reader import BagReader
@@ -46,8 +45,9 @@ def session_object(timeline: Timeline) -> dict[str, Any]:
     """Give what is known about a session that was read to its end, as plain values."""
     session, reader, size = timeline.session, timeline.session.reader, timeline.size()
     crashes: Counter[str] = Counter()
-    for failure in timeline.crashes:
-        crashes[failure.who] += len(failure.times)
+    for failure in timeline.failures:
+        if failure.is_crash:
+            crashes[failure.name] += len(failure.times)
     seconds = (reader.end - reader.begin) / 1e9
     again = [unit for unit in timeline.units if unit.restarts and not unit.is_withdrawn]
     return {

@@ -161,7 +161,7 @@ def _event(
     try:
         return parameters.take(message) or None
     except UnreadableEventError as error:
-        session.note_damage(message, error)
+        session.reader.damaged(str(error))
         return None
 
 

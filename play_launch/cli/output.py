@@ -17,7 +17,9 @@ from itertools import zip_longest
 from typing import IO, TYPE_CHECKING, Final, NoReturn
 
 from play_launch import UserError
-from play_launch.config.durations import duration as duration  # noqa: PLC0414 - for all of cli
+from play_launch.config.text import counted as counted  # noqa: PLC0414 - for all of cli
+from play_launch.config.text import duration as duration  # noqa: PLC0414
+from play_launch.config.text import size as size  # noqa: PLC0414
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -183,23 +185,7 @@ def _write_labelled(label: str, colour: str, message: str) -> None:
     print(f"{label} {printable(message)}", file=sys.stderr, flush=True)  # noqa: T201 - as above
 
 
-# Figures and tables.
-
-_BYTES: Final = (("TB", 10**12), ("GB", 10**9), ("MB", 10**6), ("kB", 10**3))
-
-
-def size(count: int) -> str:
-    """Write a number of bytes in powers of ten: ``999 B``, ``12.3 MB``."""
-    for unit, factor in _BYTES:
-        if count >= factor * 0.9995:  # which rounds to one of the unit
-            return f"{count / factor:{'.3g' if count < factor * 999.5 else '.0f'}} {unit}"
-    return f"{count} B"
-
-
-def counted(number: int, noun: str) -> str:
-    """``1 node``, ``2 nodes``, ``3 processes``."""
-    plural = f"{noun}es" if noun.endswith("s") else f"{noun}s"
-    return f"{number} {noun if number == 1 else plural}"
+# Tables.
 
 
 def table(
@@ -362,7 +348,7 @@ def _refuse_to_replace(output: Path) -> None:
         raise OutputError(output, "Is a directory")
     if not output.exists():
         return
-    from play_launch.recording.mcap_file import MAGIC  # noqa: PLC0415 - slow, rarely needed
+    from play_launch.recording.folder import MAGIC  # noqa: PLC0415 - slow, rarely needed
 
     with output.open("rb") as file:
         if file.read(len(MAGIC)) == MAGIC:

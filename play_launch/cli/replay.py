@@ -159,34 +159,23 @@ def _require_time_zone() -> None:
 
 def _require_machine() -> None:
     from play_launch.process.machine import (  # noqa: PLC0415
-        ADDRESS_SPACE_FIX,
-        PROC_FIX,
-        SHARED_MEMORY_FIX,
-        address_space,
         address_space_problem,
         full_shared_memory,
         proc_problem,
-        shared_memory_room,
     )
 
-    if problem := proc_problem():
-        fail(f"{problem}; nothing was started; fix: {PROC_FIX}")
-    if problem := address_space_problem(address_space()):
-        fail(f"{problem}; nothing was started; fix: {ADDRESS_SPACE_FIX}")
-    if full_shared_memory(shared_memory_room()):
-        _sweep()
-        if problem := full_shared_memory(shared_memory_room()):
-            fail(f"{problem}; nothing was started; fix: {SHARED_MEMORY_FIX}")
+    problem = proc_problem() or address_space_problem()
+    if not problem and full_shared_memory():
+        # Leftovers of Fast DDS may be what fills it.
+        import asyncio  # noqa: PLC0415
 
+        from play_launch.ros.fastdds.shared_memory import sweep_shared_memory  # noqa: PLC0415
 
-def _sweep() -> None:
-    """Remove what dead processes left of Fast DDS, which may be what fills shared memory."""
-    import asyncio  # noqa: PLC0415
-
-    from play_launch.ros.fastdds.shared_memory import sweep_shared_memory  # noqa: PLC0415
-
-    with contextlib.suppress(OSError):
-        asyncio.run(sweep_shared_memory())
+        with contextlib.suppress(OSError):
+            asyncio.run(sweep_shared_memory())
+        problem = full_shared_memory()
+    if problem:
+        fail(f"nothing was started: {problem}")
 
 
 def _require_ros() -> None:

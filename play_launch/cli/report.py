@@ -46,6 +46,6 @@ def _points(found: Sequence[Finding], started_ns: int) -> Iterator[Point]:
             headline(finding, started_ns),
             tuple(details(finding)),
             (finding.at_ns - started_ns) / 1e6,
-            finding.who,
+            finding.name,
             finding.is_failure,
         )

@@ -20,7 +20,6 @@ from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import STATE_EVENT
 from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
-from play_launch.recording.bag import REPEATED
 from play_launch.recording.decisions import UnreadableInputError, read
 from play_launch.recording.facts import REDACTED
 from play_launch.recording.forms import convert
@@ -100,14 +99,14 @@ def _recorded(session: PastSession) -> RecordedInputs:
         try:
             if message.topic.name == topics.INPUTS.name:
                 decisions += read(message.data)
-            elif message.sequence != REPEATED:
+            elif message.sequence != topics.REPEATED:
                 # Earlier versions wrote no causes.
                 fields = STATE_EVENT.read(message.data + bytes(32))
                 if fields["kind"] != SubjectKind.RECORDING:
                     states.append(fields)
         except (CdrError, UnreadableInputError) as error:
             foreign = foreign or (_FOREIGN if isinstance(error, UnreadableInputError) else "")
-            session.note_damage(message, error)
+            session.reader.damaged(str(error))
     flaw = ""
     origin = decisions[0].said if decisions else None
     if not isinstance(origin, Origin):

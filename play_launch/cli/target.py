@@ -11,6 +11,7 @@ from msgspec.structs import asdict
 
 from play_launch import ExitCode
 from play_launch.cli.output import counted, fail, is_standard_output, note, say, write_file
+from play_launch.config.substitutions import parse_arguments
 from play_launch.launch_files.configuration.options import Containers
 
 if TYPE_CHECKING:
@@ -42,19 +43,6 @@ _OF_LAUNCH: Final = frozenset(
 """Arguments that hold for all processes; no launch file declares them."""
 
 
-def _arguments(texts: Sequence[str]) -> dict[str, str]:
-    """Read `name:=value`; any name will do, as in launch. Raises ValueError."""
-    found: dict[str, str] = {}
-    for text in texts:
-        name, _, value = text.partition(":=")
-        if not name or ":=" not in text:
-            raise ValueError(f"'{text}' is not an argument; write name:=value")
-        if name in found:
-            raise ValueError(f"the argument {name} is given twice")
-        found[name] = value
-    return found
-
-
 def evaluated(
     words: Sequence[str],
     timeout: float,
@@ -73,8 +61,8 @@ def evaluated(
     named = [each for each in words if ":=" not in each]
     if len(named) not in (1, 2) or list(words[: len(named)]) != named:
         fail("give a launch file, or a package and a launch file, then name:=value")
+    arguments = parse_arguments(words[len(named) :])
     try:
-        arguments = _arguments(words[len(named) :])
         path = Path.cwd() / find(named)
     except ValueError as error:
         fail(str(error))
@@ -181,11 +169,9 @@ def _values(made: Written, output: Path | None) -> dict[str, object]:
         "containers": made.containers,
         "composable_nodes": made.composable_nodes,
         "processes": made.processes,
-        "lost": [_loss(each) for each in made.losses if not each.is_note],
-        "notes": [_loss(each) for each in made.losses if each.is_note],
+        "lost": [
+            {"where": each.where, "what": each.what} for each in made.losses if not each.is_note
+        ],
+        "notes": [{"where": each.where, "what": each.what} for each in made.losses if each.is_note],
         "problems": [asdict(problem) for problem in made.problems],
     }
-
-
-def _loss(loss: object) -> dict[str, str]:
-    return {"where": str(getattr(loss, "where", "")), "what": str(getattr(loss, "what", ""))}

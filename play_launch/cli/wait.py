@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import typer
 
@@ -31,12 +31,6 @@ _LIFECYCLE: Final = "lifecycle_msgs/srv/GetState"
 _GET_STATE: Final = "/get_state"
 
 
-class _WaitOptions(NamedTuple):
-    names: list[str]
-    condition: str
-    deadline: float
-
-
 def wait(
     names: cli_options.Names = None,
     condition: Annotated[
@@ -60,12 +54,12 @@ def wait(
     the timeout.
     """
     began = time.monotonic()
-    options = _WaitOptions(names or [], condition, began + timeout)
-    with connected(session, deadline=options.deadline) as client:
-        up = _up(client, options)
+    wanted, deadline = names or [], began + timeout
+    with connected(session, deadline=deadline) as client:
+        up = _up(client, wanted, condition, deadline)
         missing: list[str] = []
         if condition != "loaded":
-            up, missing = _wait_in_the_graph(client, options, up)
+            up, missing = _wait_in_the_graph(client, wanted, condition, deadline, up)
     seconds = time.monotonic() - began
     if as_json:
         values: dict[str, Any] = {
@@ -84,19 +78,18 @@ def wait(
     return ExitCode.OK
 
 
-def _up(client: ControlClient, options: _WaitOptions) -> list[str]:
+def _up(client: ControlClient, names: list[str], condition: str, deadline: float) -> list[str]:
     """Wait for what the session knows of, and return the names of what is up."""
-    left = max(options.deadline - time.monotonic(), _LEAST)
-    arguments = {"names": options.names, "timeout": left}
-    if options.condition == "active":
-        # Those that are brought there; they can fail. The others are asked, see below.
-        arguments["for"] = "active"
+    left = max(deadline - time.monotonic(), _LEAST)
+    # Nodes with autostart can fail on the way to active. The others are queried, see below.
+    known = "active" if condition == "active" else "loaded"
+    arguments = {"names": names, "timeout": left, "for": known}
     answer = client.ask("wait", arguments, limit=left + _SPARE)
     return [each["name"] for each in answer["results"]]
 
 
 def _wait_in_the_graph(
-    client: ControlClient, options: _WaitOptions, up: list[str]
+    client: ControlClient, names: list[str], condition: str, deadline: float, up: list[str]
 ) -> tuple[list[str], list[str]]:
     """Return what is up, and what of it is not as it should be in time.
 
@@ -110,22 +103,22 @@ def _wait_in_the_graph(
     with NodeServices() as ros:
         managed = _Managed(ros)
         while True:
-            end = min(options.deadline, time.monotonic() + _ROUND)
+            end = min(deadline, time.monotonic() + _ROUND)
             rows = [row for row in client.ask("ps") if row["name"] in up]
             # A process need not be a node, unless it is named; nor has every node a name.
             expected = {
                 row["name"]
                 for row in rows
-                if (options.names or row["kind"] == "component") and "[" not in row["name"]
+                if (names or row["kind"] == "component") and "[" not in row["name"]
             }
             missing: list[str] = []
             if not ros.until(lambda: ros.nodes() >= expected, end):  # noqa: B023 - used at once
                 missing = sorted(expected - ros.nodes())
-            elif options.condition == "active":
+            elif condition == "active":
                 missing = _inactive(ros, managed, up, expected, end)
-            if not missing or time.monotonic() >= options.deadline:
+            if not missing or time.monotonic() >= deadline:
                 return up, missing
-            up = _up(client, options)
+            up = _up(client, names, condition, deadline)
 
 
 class _Managed:

@@ -40,10 +40,11 @@ def describe(config: ReplayConfig) -> dict[str, object]:
 
 def _fields(struct: Struct, *without: str) -> dict[str, Any]:
     names = [name for name in struct.__struct_fields__ if name not in without]
-    return {name: _value(name, getattr(struct, name)) for name in names}
+    return {name: described(name, getattr(struct, name)) for name in names}
 
 
-def _value(name: str, value: Any) -> Any:
+def described(name: str, value: Any) -> Any:
+    """Return the value of one field of a configuration, as in `describe`."""
     if name in {"parameters", "extra_arguments"}:
         return _parameters(value)
     if name == "process_parameters":
@@ -54,9 +55,9 @@ def _value(name: str, value: Any) -> Any:
         case Path() | StrEnum():
             return str(value)
         case tuple():
-            return [_value("", each) for each in value]
+            return [described("", each) for each in value]
         case Mapping():
-            return {key: _value("", each) for key, each in value.items()}
+            return {key: described("", each) for key, each in value.items()}
         case float() if not math.isfinite(value):
             return "never"
     return value
@@ -75,10 +76,10 @@ def _struct(struct: Struct) -> Any:
             limits = {"max_restarts": struct.max_restarts, "within": struct.within}
             return {**limits, "backoff": backoff}
         case ManagedConfig():
-            timeout = _value("", struct.timeout)
+            timeout = described("", struct.timeout)
             return {**_fields(struct, "timeout"), "transition_timeout": timeout}
         case RecordConfig():
-            budgets = {topic: _value("", size) for topic, size in struct.topic_budgets}
+            budgets = {topic: described("", size) for topic, size in struct.topic_budgets}
             return {**_fields(struct, "topic_budgets"), "budget": budgets or struct.budget}
         case ContainerConfig():
             return _fields(struct, "name", "namespace")

@@ -19,7 +19,6 @@ from play_launch.config.resources import (
 )
 from play_launch.config.section import ValueKind
 from play_launch.config.values import (
-    NEVER,
     check_namespace,
     check_node_name,
     check_topic,
@@ -126,8 +125,9 @@ def choice(choices: Iterable[_Choice]) -> ValueKind[_Choice]:
     return _parsed(parse, _substitutable({"enum": words}))
 
 
-def _or_never(parse: Callable[[object], float]) -> Callable[[object], float]:
-    return lambda value: NEVER if value == "never" else parse(value)
+def _or(word: str, parse: Callable[[object], float]) -> Callable[[object], float]:
+    """Accept also a word for infinity."""
+    return lambda value: math.inf if value == word else parse(value)
 
 
 def _check_text(text: str) -> str:
@@ -239,11 +239,11 @@ THREADS: Final = integer(1, 1024)
 DURATION: Final = _parsed(parse_duration, _DURATION_FORM)
 POSITIVE_DURATION: Final = _parsed(parse_positive_duration, _DURATION_FORM)
 POSITIVE_DURATION_OR_NEVER: Final = _parsed(
-    _or_never(parse_positive_duration), _DURATION_FORM, _NEVER_FORM
+    _or("never", parse_positive_duration), _DURATION_FORM, _NEVER_FORM
 )
-SAMPLING_PERIOD: Final = _parsed(_or_never(_parse_sampling_period), _DURATION_FORM, _NEVER_FORM)
+SAMPLING_PERIOD: Final = _parsed(_or("never", _parse_sampling_period), _DURATION_FORM, _NEVER_FORM)
 SIZE: Final = _parsed(parse_size, _SIZE_FORM)
-SIZE_OR_NEVER: Final = _parsed(_or_never(parse_size), _SIZE_FORM, _NEVER_FORM)
+SIZE_OR_NEVER: Final = _parsed(_or("never", parse_size), _SIZE_FORM, _NEVER_FORM)
 LOG_LEVEL: Final = _parsed(
     _parse_log_level,
     {"enum": list(LOG_LEVELS)},
@@ -369,10 +369,6 @@ def _whole(least: int, most: int, what: str) -> Callable[[object], float]:
     return parse
 
 
-def _or_max(parse: Callable[[object], float]) -> Callable[[object], float]:
-    return lambda value: NO_LIMIT if value == "max" else parse(value)
-
-
 _LimitForm: TypeAlias = "tuple[JsonSchema, Callable[[Any], float]]"
 BYTES: Final[_LimitForm] = (
     _SIZE_FORM,
@@ -397,14 +393,11 @@ def resource_limit(
 ) -> ValueKind[ResourceLimit]:
     """Return the kind of the limit of this name: one value, or soft:hard."""
 
-    def value_of(value: object) -> float:
-        return math.inf if value == "unlimited" else parse_one(value)
-
     def parse(value: object) -> ResourceLimit:
         parts = [value, value]
         if isinstance(value, str) and ":" in value:
             parts = [_number_or_text(part.strip()) for part in value.split(":", 1)]
-        soft, hard = map(value_of, parts)
+        soft, hard = map(_or("unlimited", parse_one), parts)
         if soft > hard:
             raise ValueError("the soft limit, before the colon, is higher than the hard limit")
         return ResourceLimit(name, soft, hard)
@@ -426,9 +419,9 @@ CPU_MAX: Final = _parsed(
 )
 WEIGHT: Final = integer(1, 10_000)
 PIDS_MAX: Final = _parsed(
-    _or_max(_whole(1, 2**22, f"a number from 1 to {2**22}, or max")), _COUNT_FORM, _MAX_FORM
+    _or("max", _whole(1, 2**22, f"a number from 1 to {2**22}, or max")), _COUNT_FORM, _MAX_FORM
 )
-MEMORY_LIMIT: Final = _parsed(_or_max(parse_size), _SIZE_FORM, _MAX_FORM)
+MEMORY_LIMIT: Final = _parsed(_or("max", parse_size), _SIZE_FORM, _MAX_FORM)
 GROUP_PATH: Final = _parsed(_parse_base_path, _substitutable({"const": "auto"}, _pattern("^/")))
 IO_PRIORITY: Final = _parsed(
     _parse_io_priority,

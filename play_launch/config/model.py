@@ -287,21 +287,40 @@ class ComposableNodeConfig(Struct, frozen=True, kw_only=True):
         return self.key.name
 
 
-class ContainerConfig(Struct, frozen=True, kw_only=True):
+class MemberConfig(Struct, frozen=True, kw_only=True):
+    """What has a process of its own.
+
+    `environment` holds the variables of the whole system too. `prefix` stands before the program in
+    the command line, `cwd` is an absolute path (None: the supervisor's own). `process_parameters`
+    are for all nodes that are made in the process, in the order in which rcl reads them.
+    """
+
+    name: str = ""
+    namespace: str = ""
+    full_name: str
+    arguments: tuple[str, ...] = ()
+    process_parameters: tuple[ParameterSection, ...] = ()
+    prefix: tuple[str, ...] = ()
+    cwd: Path | None = None
+    output: Output = Output.BOTH
+    log_level: str | None = None
+    environment: Mapping[str, str] = _EMPTY
+    ros_arguments: tuple[str, ...] = ()
+    restart: RestartLimits = RestartLimits()
+    resources: Resources = Resources()
+    line: int = 0
+    file: str = ""
+
+
+class ContainerConfig(MemberConfig, frozen=True, kw_only=True):
     """A component container.
 
-    `environment` holds the variables of the whole system too, `thread_num` is None for
-    the container's own choice, `loading_timeout` and `probe_timeout` are seconds. `prefix` stands
-    before the program in the command line. `process_parameters` are for nodes that are made in its
-    process, not for those that are loaded. `cwd` is an absolute path (None: the supervisor's own),
-    `on_exit` is RESTART or SHUTDOWN. A stock container is `executable` of `package` with
+    `thread_num` is None for the container's own choice, `loading_timeout` and `probe_timeout` are
+    seconds. `on_exit` is RESTART or SHUTDOWN. A stock container is `executable` of `package` with
     `arguments`, or, with `attach`, one that is already running. A file gives no other
     container `arguments`; benchmarks do.
     """
 
-    name: str
-    namespace: str
-    full_name: str
     container_type: ContainerType = ContainerType.STANDARD
     thread_num: int | None = None
     isolation: Isolation = Isolation.AUTO
@@ -309,57 +328,27 @@ class ContainerConfig(Struct, frozen=True, kw_only=True):
     core_dumps: bool = False
     package: str = ""
     executable: str = ""
-    arguments: tuple[str, ...] = ()
     attach: bool = False
-    process_parameters: tuple[ParameterSection, ...] = ()
-    prefix: tuple[str, ...] = ()
-    cwd: Path | None = None
-    output: Output = Output.BOTH
     on_exit: OnExit = OnExit.RESTART
-    log_level: str | None = None
-    environment: Mapping[str, str] = _EMPTY
-    ros_arguments: tuple[str, ...] = ()
-    restart: RestartLimits = RestartLimits()
     loading_timeout: float = 10.0
     probe_timeout: float = 60.0
     composable_nodes: tuple[ComposableNodeConfig, ...] = ()
-    resources: Resources = Resources()
-    line: int = 0
-    file: str = ""
 
 
-class ProcessConfig(Struct, frozen=True, kw_only=True):
+class ProcessConfig(MemberConfig, frozen=True, kw_only=True):
     """An ordinary executable: either `command`, or `executable` of `package`.
 
     An empty `name` or `namespace` keeps the program's own; `full_name` is then a label such as
     `/[listener]`, unique in the configuration. `arguments` is empty where `command` is given.
-    `environment` holds the variables of the whole system too. `prefix` stands before the program in
-    the command line, `cwd` is an absolute path (None: the supervisor's own). `process_parameters`
-    are for all nodes in the process, in the order in which rcl reads them.
     """
 
-    name: str = ""
-    namespace: str = ""
-    full_name: str
     command: tuple[str, ...] | None = None
     package: str | None = None
     executable: str | None = None
-    arguments: tuple[str, ...] = ()
     parameters: tuple[ParameterConfig, ...] = ()
-    process_parameters: tuple[ParameterSection, ...] = ()
     remappings: tuple[tuple[str, str], ...] = ()
-    environment: Mapping[str, str] = _EMPTY
-    ros_arguments: tuple[str, ...] = ()
-    prefix: tuple[str, ...] = ()
-    cwd: Path | None = None
     emulate_tty: bool = False
-    output: Output = Output.BOTH
     on_exit: OnExit = OnExit.IGNORE
-    restart: RestartLimits = RestartLimits()
-    log_level: str | None = None
-    resources: Resources = Resources()
-    line: int = 0
-    file: str = ""
 
 
 class SourceFile(Struct, frozen=True):

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _LONGEST_EXCERPT = 60
+_MOST_SHOWN = 50
 _PLAIN_KEY = re.compile(r"[\w\-./~*]+")
 
 
@@ -75,9 +76,9 @@ class ConfigError(Exception):
     def __str__(self) -> str:
         return "\n".join(str(problem) for problem in self.problems)
 
-    def for_people(self, most: int = 50) -> str:
-        """Return the text of the first ``most`` problems, and how many more there are."""
-        lines = [str(problem) for problem in self.problems[:most]]
+    def for_people(self) -> str:
+        """Return the text of the first problems, and how many more there are."""
+        lines = [str(problem) for problem in self.problems[:_MOST_SHOWN]]
         if left := len(self.problems) - len(lines):
             lines.append(f"and {left:,} more; play-launch check --json lists them all")
         return "\n".join(lines)

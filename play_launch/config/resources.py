@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from msgspec import Struct
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable
 
     _Infinite = TypeVar("_Infinite", int, str)
 
@@ -206,21 +206,19 @@ class Resources(Struct, frozen=True, kw_only=True):
 
         Limits come first: they decide what of the others is allowed.
         """
-        return tuple(self._settings())
-
-    def _settings(self) -> Iterator[str]:
-        yield from (limit.setting for limit in self.rlimits)
+        found = [limit.setting for limit in self.rlimits]
         if self.oom_score_adj is not None:
-            yield f"oom_score_adj {self.oom_score_adj}"
+            found.append(f"oom_score_adj {self.oom_score_adj}")
         if self.io_priority is not None:
-            yield f"io_priority {self.io_priority.number}"
+            found.append(f"io_priority {self.io_priority.number}")
         if self.cpu_affinity:
-            yield f"cpu_affinity {' '.join(map(str, self.cpu_affinity))}"
+            found.append(f"cpu_affinity {' '.join(map(str, self.cpu_affinity))}")
         if self.nice is not None:
-            yield f"nice {self.nice}"
+            found.append(f"nice {self.nice}")
         if self.scheduler is not None:
             number = POLICY_NUMBERS[self.scheduler.policy]
-            yield f"scheduler {number} {self.scheduler.priority}"
+            found.append(f"scheduler {number} {self.scheduler.priority}")
+        return tuple(found)
 
     def described(self) -> dict[str, object]:
         """Return what is requested as values for JSON, by the keys of the configuration."""

@@ -50,140 +50,157 @@ _INCLUSION: Final[JsonSchema] = {
 }
 _FILE: Final = any_of(STRING_FORM, _INCLUSION)
 
-_CONTAINER_TYPE = optional(
-    kinds.choice(ContainerType),
-    "standard: all nodes in one process, one thread. mt: several threads. isolated, "
-    "isolated_mt: each node a process of its own in shared memory. stock: another program with "
-    "ROS's composition services.",
-    "isolated",
-)
-_THREAD_NUM = optional(
-    kinds.THREADS, "Threads of the executor, 1 to 1024; for mt and isolated_mt.", 4
-)
-_ISOLATION = optional(
-    kinds.choice(Isolation),
-    "How isolated nodes become processes: auto, shared_memory or process.",
-    "auto",
-)
-_MEMORY_DOMAINS = optional(
-    kinds.choice(MemoryDomains),
-    "Whether what isolated nodes have in play_launch::private_memory() is protected from their "
-    "neighbours: off, auto (as far as the machine can) or required.",
-    "auto",
-)
-_CORE_DUMPS = optional(kinds.BOOLEAN, "Whether isolated nodes that crash dump core.", True)
-_AUTO_RELOAD_ON_CRASH = optional(
-    kinds.BOOLEAN, "true is short for on_crash: reload, false for on_crash: ignore.", True
-)
-_ON_CRASH = optional(
-    kinds.choice(OnCrash),
-    "What follows when an isolated node crashes alone: reload, ignore, stop_container or shutdown.",
-    "reload",
-)
-_LOADING_TIMEOUT = optional(
-    kinds.POSITIVE_DURATION,
-    "Duration after which a node that is still loading is asked about. By default 10 s.",
-    "10 s",
-)
-_PROBE_TIMEOUT = optional(
-    kinds.POSITIVE_DURATION,
-    "Longest duration for which a scratch process may load a library. By default 60 s.",
-    "60 s",
-)
-_RESTART = nested(
-    RestartSection,
-    "How often it is brought back, and after which pauses.",
-    {"max_restarts": 5, "within": "60 s"},
-)
-_NAMESPACE = optional(
-    kinds.NAMESPACE,
-    "Namespace, made of names with / between them. By default the root, or the component's own.",
-    "/sensing",
-    "/sensing/lidar",
-)
-_PROCESS_PARAMETERS = raw(
-    any_of(_OF_NODES, list_form(any_of(STRING_FORM, _OF_NODES))),
-    "Parameters for all nodes of the process, by their full names or patterns: parameter files, "
-    "and mappings of such names to parameters, of which later ones win.",
-    {"/local_costmap/local_costmap": {"width": 3}},
-    ["params/nav2.yaml", {"/**": {"use_sim_time": True}}],
-)
-_PREFIX = optional(
-    kinds.PREFIX,
-    "Words before the program in the command line, split as a shell does.",
-    "gdb -ex run --args",
-)
-_CWD = optional(
-    kinds.FILLED_TEXT,
-    "Working directory; a relative path starts at the folder of this file.",
-    "data",
-)
-_OUTPUT = optional(
-    kinds.choice(Output), "Where what it writes goes: screen, log or both. By default both.", "log"
-)
-_DEPENDS_ON = listed(
-    DependencySection,
-    "What it waits for: names of containers, nodes and processes, or mappings with a condition.",
-    ["driver"],
-    [{"topic": "/scan", "timeout": "10 s"}],
-    or_name=True,
-)
-_START_DELAY = optional(
-    kinds.DURATION, "Duration to wait once everything is there that it depends on.", "500 ms"
-)
-_LOG_LEVEL = optional(
-    kinds.LOG_LEVEL, "Logging severity: debug, info, warn, error or fatal.", "warn"
-)
-_ENVIRONMENT = raw(
-    _VARIABLES,
-    "Environment variables, names to strings.",
-    {"ROS_DOMAIN_ID": "5", "RCUTILS_COLORIZED_OUTPUT": "1"},
-)
-_ROS_ARGUMENTS = optional(
-    kinds.ROS_ARGUMENTS, "Strings that are put after --ros-args.", ["--log-level", "rcl:=warn"]
-)
-_RESOURCES = nested(
-    ResourcesSection,
-    "What its process asks of the kernel: scheduling, CPUs, I/O priority, limits, control group.",
-    {"nice": 5},
-    {"scheduler": {"policy": "fifo", "priority": 50}, "cpu_affinity": [2, 3]},
-)
-_AUTOSTART = optional(
-    kinds.choice(Autostart),
-    "How far a managed (lifecycle) node is brought: configure or activate.",
-    "activate",
-)
-_TRANSITION_TIMEOUT = optional(
-    kinds.POSITIVE_DURATION_OR_NEVER,
-    "Duration for each transition of autostart, or never. By default 1 min.",
-    "30 s",
-)
-_PARAMETERS = raw(
-    any_of(_VALUES, list_form(any_of(STRING_FORM, _VALUES))),
-    "Parameters: a mapping, or a list of mappings and parameter files, of which later ones win.",
-    {"rate": 10.0},
-    ["params/common.yaml", {"rate": 20.0}],
-)
-_REMAPPINGS = raw(
-    any_of(_VARIABLES, list_form(_REMAPPING)),
-    "Remappings of topics and services: a mapping, or a list of from:=to.",
-    {"chatter": "/sensing/chatter"},
-    ["image:=~/image"],
-)
+
+class UnitSection(ConfigSection):
+    """Keys of all that is started or loaded."""
+
+    namespace = optional(
+        kinds.NAMESPACE,
+        "Namespace: names with / between them. By default the root, or the component's own.",
+        "/sensing",
+        "/sensing/lidar",
+    )
+    depends_on = listed(
+        DependencySection,
+        "What it waits for: names of containers, nodes and processes, or mappings with conditions.",
+        ["driver"],
+        [{"topic": "/scan", "timeout": "10 s"}],
+        or_name=True,
+    )
+    start_delay = optional(
+        kinds.DURATION, "Duration to wait once everything is there that it depends on.", "500 ms"
+    )
+    log_level = optional(
+        kinds.LOG_LEVEL, "Logging severity: debug, info, warn, error or fatal.", "warn"
+    )
+    resources = nested(
+        ResourcesSection,
+        "What its process requests: scheduling, CPUs, I/O priority, limits, control group.",
+        {"nice": 5},
+        {"scheduler": {"policy": "fifo", "priority": 50}, "cpu_affinity": [2, 3]},
+    )
 
 
-class LoadingSection(ConfigSection):
+class NodeSection(ConfigSection):
+    """Keys of what is one node."""
+
+    autostart = optional(
+        kinds.choice(Autostart),
+        "How far a managed (lifecycle) node is brought: configure or activate.",
+        "activate",
+    )
+    transition_timeout = optional(
+        kinds.POSITIVE_DURATION_OR_NEVER,
+        "Duration for each transition of autostart, or never. By default 1 min.",
+        "30 s",
+    )
+    parameters = raw(
+        any_of(_VALUES, list_form(any_of(STRING_FORM, _VALUES))),
+        "Parameters: a mapping, or a list of mappings and parameter files; later ones win.",
+        {"rate": 10.0},
+        ["params/common.yaml", {"rate": 20.0}],
+    )
+    remappings = raw(
+        any_of(_VARIABLES, list_form(_REMAPPING)),
+        "Remappings of topics and services: a mapping, or a list of from:=to.",
+        {"chatter": "/sensing/chatter"},
+        ["image:=~/image"],
+    )
+
+
+class MemberSection(UnitSection):
+    """Keys of what has a process of its own."""
+
+    process_parameters = raw(
+        any_of(_OF_NODES, list_form(any_of(STRING_FORM, _OF_NODES))),
+        "Parameters for all nodes of the process, by their full names or patterns: parameter "
+        "files, and mappings of such names to parameters, of which later ones win.",
+        {"/local_costmap/local_costmap": {"width": 3}},
+        ["params/nav2.yaml", {"/**": {"use_sim_time": True}}],
+    )
+    prefix = optional(
+        kinds.PREFIX,
+        "Words before the program in the command line, split as a shell does.",
+        "gdb -ex run --args",
+    )
+    cwd = optional(
+        kinds.FILLED_TEXT,
+        "Working directory; a relative path starts at the folder of this file.",
+        "data",
+    )
+    output = optional(
+        kinds.choice(Output),
+        "Where what it writes goes: screen, log or both. By default both.",
+        "log",
+    )
+    environment = raw(
+        _VARIABLES,
+        "Environment variables, names to strings.",
+        {"ROS_DOMAIN_ID": "5", "RCUTILS_COLORIZED_OUTPUT": "1"},
+    )
+    ros_arguments = optional(
+        kinds.ROS_ARGUMENTS, "Strings that are put after --ros-args.", ["--log-level", "rcl:=warn"]
+    )
+
+
+class CrashSection(ConfigSection):
+    """Keys about nodes that crash."""
+
+    auto_reload_on_crash = optional(
+        kinds.BOOLEAN, "true is short for on_crash: reload, false for on_crash: ignore.", True
+    )
+    on_crash = optional(
+        kinds.choice(OnCrash),
+        "Reaction when an isolated node crashes alone: reload, ignore, stop_container or shutdown.",
+        "reload",
+    )
+    restart = nested(
+        RestartSection,
+        "How often it is brought back, and after which pauses.",
+        {"max_restarts": 5, "within": "60 s"},
+    )
+
+
+class ContainersSection(CrashSection):
+    """Keys of containers that have defaults for all of them."""
+
+    container_type = optional(
+        kinds.choice(ContainerType),
+        "standard: all nodes in one process, one thread. mt: several threads. isolated, "
+        "isolated_mt: each node a process of its own in shared memory. stock: another program with "
+        "ROS's composition services.",
+        "isolated",
+    )
+    thread_num = optional(
+        kinds.THREADS, "Threads of the executor, 1 to 1024; for mt and isolated_mt.", 4
+    )
+    isolation = optional(
+        kinds.choice(Isolation),
+        "How isolated nodes become processes: auto, shared_memory or process.",
+        "auto",
+    )
+    memory_domains = optional(
+        kinds.choice(MemoryDomains),
+        "Whether what isolated nodes have in play_launch::private_memory() is protected from their "
+        "neighbours: off, auto (as far as the machine can) or required.",
+        "auto",
+    )
+    core_dumps = optional(kinds.BOOLEAN, "Whether isolated nodes that crash dump core.", True)
+    loading_timeout = optional(
+        kinds.POSITIVE_DURATION,
+        "Duration after which a node that is still loading is asked about. By default 10 s.",
+        "10 s",
+    )
+    probe_timeout = optional(
+        kinds.POSITIVE_DURATION,
+        "Longest duration for which a scratch process may load a library. By default 60 s.",
+        "60 s",
+    )
+
+
+class LoadingSection(ContainersSection):
     """`composable_node_loading`: defaults for all containers."""
 
-    container_type = _CONTAINER_TYPE
-    thread_num = _THREAD_NUM
-    isolation = _ISOLATION
-    memory_domains = _MEMORY_DOMAINS
-    core_dumps = _CORE_DUMPS
-    auto_reload_on_crash = _AUTO_RELOAD_ON_CRASH
-    on_crash = _ON_CRASH
-    loading_timeout = _LOADING_TIMEOUT
-    probe_timeout = _PROBE_TIMEOUT
     resources = nested(
         ResourcesSection, "Defaults for the resources of isolated nodes.", {"nice": 5}
     )
@@ -193,10 +210,9 @@ class LoadingSection(ConfigSection):
         {"enabled": True},
         {"base_path": "/sys/fs/cgroup/play_launch", "required": True},
     )
-    restart = _RESTART
 
 
-class ComposableNodeSection(ConfigSection):
+class ComposableNodeSection(UnitSection, NodeSection, CrashSection):
     """One entry of `composable_nodes`."""
 
     package = required(kinds.PACKAGE, "Package that has the component.", "play_launch_demo")
@@ -207,26 +223,14 @@ class ComposableNodeSection(ConfigSection):
         "component keeps its own.",
         "talker",
     )
-    namespace = _NAMESPACE
-    depends_on = _DEPENDS_ON
-    start_delay = _START_DELAY
-    autostart = _AUTOSTART
-    transition_timeout = _TRANSITION_TIMEOUT
-    parameters = _PARAMETERS
-    remappings = _REMAPPINGS
     extra_arguments = raw(
         any_of(_VALUES, list_form(_VALUES)),
         "Parameters for the container; no files.",
         {"use_intra_process_comms": True},
     )
-    log_level = _LOG_LEVEL
-    auto_reload_on_crash = _AUTO_RELOAD_ON_CRASH
-    on_crash = _ON_CRASH
-    resources = _RESOURCES
-    restart = _RESTART
 
 
-class ContainerSection(ConfigSection):
+class ContainerSection(MemberSection, ContainersSection):
     """One entry of `containers`."""
 
     name = required(
@@ -235,12 +239,6 @@ class ContainerSection(ConfigSection):
         "by it.",
         "sensing",
     )
-    namespace = _NAMESPACE
-    container_type = _CONTAINER_TYPE
-    thread_num = _THREAD_NUM
-    isolation = _ISOLATION
-    memory_domains = _MEMORY_DOMAINS
-    core_dumps = _CORE_DUMPS
     package = optional(
         kinds.PACKAGE,
         "Package with the program of a stock container. By default rclcpp_components.",
@@ -257,26 +255,11 @@ class ContainerSection(ConfigSection):
     attach = optional(
         kinds.BOOLEAN, "Whether to attach to a stock container that is already running.", True
     )
-    process_parameters = _PROCESS_PARAMETERS
-    prefix = _PREFIX
-    cwd = _CWD
-    output = _OUTPUT
     on_exit = optional(
         kinds.choice(OnExit),
         "Reaction when it exits unasked: restart or shutdown. By default restart.",
         "shutdown",
     )
-    depends_on = _DEPENDS_ON
-    start_delay = _START_DELAY
-    auto_reload_on_crash = _AUTO_RELOAD_ON_CRASH
-    on_crash = _ON_CRASH
-    log_level = _LOG_LEVEL
-    environment = _ENVIRONMENT
-    ros_arguments = _ROS_ARGUMENTS
-    resources = _RESOURCES
-    restart = _RESTART
-    loading_timeout = _LOADING_TIMEOUT
-    probe_timeout = _PROBE_TIMEOUT
     composable_nodes = listed(
         ComposableNodeSection,
         "Nodes that are loaded into the container. Merged by name with included ones.",
@@ -284,7 +267,7 @@ class ContainerSection(ConfigSection):
     )
 
 
-class ProcessSection(ConfigSection):
+class ProcessSection(MemberSection, NodeSection):
     """One entry of `nodes`."""
 
     command = optional(kinds.COMMAND, "The program and its arguments.", ["python3", "my_node.py"])
@@ -296,35 +279,20 @@ class ProcessSection(ConfigSection):
         "label.",
         "listener",
     )
-    namespace = _NAMESPACE
-    parameters = _PARAMETERS
-    process_parameters = _PROCESS_PARAMETERS
-    remappings = _REMAPPINGS
     arguments = optional(
         kinds.list_of(kinds.TEXT), "Strings for the executable; not with command.", ["--fast"]
     )
-    ros_arguments = _ROS_ARGUMENTS
-    environment = _ENVIRONMENT
-    prefix = _PREFIX
-    depends_on = _DEPENDS_ON
-    start_delay = _START_DELAY
-    autostart = _AUTOSTART
-    transition_timeout = _TRANSITION_TIMEOUT
-    cwd = _CWD
     emulate_tty = optional(
         kinds.BOOLEAN, "Whether its output goes to a terminal. By default false.", True
     )
-    output = _OUTPUT
     on_exit = optional(
         kinds.choice(OnExit),
         "Reaction when it exits unasked: ignore, restart or shutdown. By default ignore.",
         "restart",
     )
-    resources = _RESOURCES
     restart = nested(
         RestartSection, "Restart limits; only with on_exit: restart.", {"max_restarts": 5}
     )
-    log_level = _LOG_LEVEL
 
 
 class DocumentSection(ConfigSection):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 from pydantic_core import SchemaValidator, ValidationError, core_schema
 
 from play_launch.config.problems import Report, excerpt
+from play_launch.config.text import similar
 from play_launch.config.tree import Cursor, Mapping, Scalar, ScalarKind, Sequence, describe_node
 
 if TYPE_CHECKING:
@@ -103,12 +104,14 @@ def nested(section: type[SomeSection], description: str, *examples: object) -> S
 
 
 class ConfigSection:
-    """A mapping of the configuration. A subclass has the keys of its base after its own."""
+    """A mapping of the configuration. A subclass has the keys of its bases after its own."""
 
     keys: ClassVar[dict[str, Key]] = {}
 
     def __init_subclass__(cls) -> None:
         own = {name: key for name, key in vars(cls).items() if isinstance(key, Key)}
+        for base in reversed(cls.__mro__[1:-1]):
+            cls.keys = {**vars(base)["keys"], **cls.keys}
         cls.keys = {**own, **cls.keys}
         for name in own:
             # What an instance has without the key.
@@ -243,11 +246,9 @@ def _report_error(details: ErrorDetails, section: type[ConfigSection], at: Curso
 
 def _unknown_key(key: str, known: list[str], report: Report) -> str:
     if len(key) <= _LONGEST_KEY_TO_GUESS and len(report) < _MOST_GUESSES:
-        import difflib  # noqa: PLC0415 - a good file needs no guesses
-
-        close = difflib.get_close_matches(key.lower().replace("-", "_"), known, n=1)
+        close = similar(key.lower().replace("-", "_"), known)
         if close:
-            return f"unknown key {excerpt(key)}; did you mean {excerpt(close[0])}?"
+            return f"unknown key {excerpt(key)}; did you mean {excerpt(close)}?"
     return f"unknown key {excerpt(key)}; known here: {', '.join(known)}"
 
 

@@ -30,7 +30,6 @@ _BEGIN: Final = re.compile(
 _BRACE: Final = re.compile(r"[{}]")
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 _PACKAGE: Final = re.compile(r"([A-Za-z][A-Za-z0-9_-]*)\s*\)", re.ASCII)
-_ARGUMENT: Final = re.compile(r"([A-Za-z_][A-Za-z0-9_]*):=(.*)", re.ASCII | re.DOTALL)
 _SHARE: Final = "find-pkg-share"
 _OF_LAUNCH_FILES: Final = {
     "var": "${arg:NAME}",
@@ -111,12 +110,12 @@ def parse_arguments(texts: Sequence[str]) -> dict[str, str]:
     """Read `name:=value` from a command line; raises ArgumentError."""
     arguments: dict[str, str] = {}
     for text in texts:
-        found = _ARGUMENT.fullmatch(text)
-        if found is None:
+        name, assigned, value = text.partition(":=")
+        if not name or not assigned:
             raise ArgumentError(f"'{text}' is not an argument; write name:=value")
-        if found[1] in arguments:
-            raise ArgumentError(f"the argument {found[1]} is given twice")
-        arguments[found[1]] = found[2]
+        if name in arguments:
+            raise ArgumentError(f"the argument {name} is given twice")
+        arguments[name] = value
     return arguments
 
 

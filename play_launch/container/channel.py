@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 from play_launch.container.codec import (
     MAX_FRAME_LENGTH,
+    ControlError,
     Frame,
     FrameDecoder,
-    MessageError,
     decode_message,
     encode_message,
 )
@@ -37,16 +37,8 @@ _READ_BYTES = 256 * 1024
 _log = logging.getLogger(__name__)
 
 
-class ControlError(Exception):
-    """The channel cannot be used; the container has to be stopped."""
-
-
 class ChannelClosedError(ControlError):
     """The container is gone or has closed its end, or we have closed ours."""
-
-
-class ProtocolViolationError(ControlError):
-    """The container sent what cannot be understood."""
 
 
 class VersionMismatchError(ControlError):
@@ -58,13 +50,6 @@ class VersionMismatchError(ControlError):
             f"version {PROTOCOL_VERSION}: install both from the same release"
         )
         self.version = version
-
-
-class ChannelOverflowError(ControlError):
-    """The container does not read what is sent to it."""
-
-    def __init__(self, waiting: int) -> None:
-        super().__init__(f"the container does not read: {waiting} bytes wait for it")
 
 
 class ControlChannel:
@@ -102,14 +87,12 @@ class ControlChannel:
 
         Raises:
             VersionMismatchError: When it speaks another version; it is not answered then.
-            ProtocolViolationError: When it says something else first.
             ChannelClosedError: When it is gone before.
+            ControlError: When it says something else first.
         """
         first = await self.receive()
         if not isinstance(first, Hello):
-            raise self._fail(
-                ProtocolViolationError(f"a {type(first).__name__} came instead of a hello")
-            )
+            raise self._fail(ControlError(f"a {type(first).__name__} came instead of a hello"))
         if first.protocol_version != PROTOCOL_VERSION:
             raise self._fail(VersionMismatchError(first.protocol_version))
         self.send(hello)
@@ -131,9 +114,9 @@ class ControlChannel:
                     raise self._fail(VersionMismatchError(frame.version))
                 try:
                     message = decode_message(frame, container=self.container)
-                except MessageError as error:
+                except ControlError as error:
                     self._frames.clear()
-                    raise self._fail(ProtocolViolationError(str(error))) from error
+                    raise self._fail(error) from None
                 if message is not None:
                     return message
                 _log.warning("%s sent a frame of unknown kind %d", self.container, frame.kind)
@@ -154,7 +137,8 @@ class ControlChannel:
             raise error
         self._outgoing += encode_message(message)
         if len(self._outgoing) > MAX_OUTGOING_BYTES:
-            raise self._fail(ChannelOverflowError(len(self._outgoing)))
+            waiting = len(self._outgoing)
+            raise self._fail(ControlError(f"the container does not read: {waiting} bytes wait"))
         self._write()
 
     def close(self) -> None:
@@ -202,8 +186,8 @@ class ControlChannel:
             )
             return
         self._frames.extend(self._decoder.feed(data))
-        if self._decoder.error is not None:
-            self._fail(ProtocolViolationError(str(self._decoder.error)))
+        if self._decoder.error:
+            self._fail(ControlError(self._decoder.error))
         elif len(self._frames) >= MAX_QUEUED_FRAMES:
             self._loop.remove_reader(self._socket)
             self._reading = False

@@ -41,6 +41,7 @@ MAX_FRAME_LENGTH = 16 * 1024 * 1024
 
 _LENGTH = struct.Struct("<I")
 _HEAD = struct.Struct("<HH")
+_BAD_LENGTH = f"a frame of {{}} bytes, allowed are {_HEAD.size} to {MAX_FRAME_LENGTH}"
 
 
 class FrameKind(IntEnum):
@@ -76,24 +77,19 @@ class Frame(NamedTuple):
     payload: bytes
 
 
-class FrameError(Exception):
-    """The length field of a frame is impossible; the rest of the stream has lost its meaning."""
-
-    def __init__(self, length: int) -> None:
-        super().__init__(
-            f"a frame of {length} bytes, allowed are {_HEAD.size} to {MAX_FRAME_LENGTH}"
-        )
+class ControlError(Exception):
+    """The channel cannot be used; the container has to be stopped."""
 
 
 def encode_frame(kind: int, payload: bytes, *, version: int = PROTOCOL_VERSION) -> bytes:
     """Put a payload into a frame.
 
     Raises:
-        FrameError: When the payload is larger than a frame can carry.
+        ValueError: When the payload is larger than a frame can carry.
     """
     length = _HEAD.size + len(payload)
     if length > MAX_FRAME_LENGTH:
-        raise FrameError(length)
+        raise ValueError(_BAD_LENGTH.format(length))
     return b"".join((_LENGTH.pack(length), _HEAD.pack(kind, version), payload))
 
 
@@ -102,8 +98,8 @@ class FrameDecoder:
 
     def __init__(self) -> None:
         self._buffer = bytearray()
-        self.error: FrameError | None = None
-        """Why the rest of the stream is not read, if so."""
+        self.error = ""
+        """Why the rest of the stream has lost its meaning, if so."""
 
     @property
     def pending(self) -> int:
@@ -112,7 +108,7 @@ class FrameDecoder:
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take the next piece and give the frames that are complete now; check `error` then."""
-        if self.error is not None:
+        if self.error:
             return []
         self._buffer += data
         frames: list[Frame] = []
@@ -120,7 +116,7 @@ class FrameDecoder:
         while len(self._buffer) - start >= _LENGTH.size:
             (length,) = _LENGTH.unpack_from(self._buffer, start)
             if not _HEAD.size <= length <= MAX_FRAME_LENGTH:
-                self.error = FrameError(length)
+                self.error = _BAD_LENGTH.format(length)
                 break
             body = start + _LENGTH.size
             end = body + length
@@ -132,14 +128,6 @@ class FrameDecoder:
             start = end
         del self._buffer[:start]
         return frames
-
-
-class MessageError(Exception):
-    """A frame does not hold the message that its kind promises, or one that is not for us."""
-
-    def __init__(self, kind: FrameKind, reason: object) -> None:
-        super().__init__(f"the payload of a {kind.name} frame cannot be read: {reason}")
-        self.kind = kind
 
 
 class EncodeError(Exception):
@@ -162,7 +150,7 @@ def encode_message(message: Outgoing) -> bytes:
             kind,
             layout.write({name: _value(getattr(message, name)) for name in layout.types}),
         )
-    except (struct_error, ValueError, FrameError) as error:
+    except (struct_error, ValueError) as error:
         raise EncodeError(message, error) from error
 
 
@@ -174,13 +162,14 @@ def decode_message(frame: Frame, *, container: str = "") -> Incoming | None:
         container: Full name of the container's node, which events carry.
 
     Raises:
-        MessageError: When the payload is not what the kind promises, or only a supervisor may
+        ControlError: When the payload is not what the kind promises, or only a supervisor may
             send it.
     """
     try:
         kind = FrameKind(frame.kind)
     except ValueError:
         return None
+    unreadable = f"the payload of a {kind.name} frame cannot be read"
     try:
         match kind:
             case FrameKind.EVENT:
@@ -206,8 +195,8 @@ def decode_message(frame: Frame, *, container: str = "") -> Incoming | None:
             case FrameKind.REJECTED:
                 return Rejected(**layouts.CONTROL_REJECTED.read(frame.payload))
     except ValueError as error:  # CdrError, and numbers that no enumeration has
-        raise MessageError(kind, error) from error
-    raise MessageError(kind, "only a supervisor may send it")
+        raise ControlError(f"{unreadable}: {error}") from error
+    raise ControlError(f"{unreadable}: only a supervisor may send it")
 
 
 _SENT: dict[type[Outgoing], tuple[FrameKind, Layout]] = {

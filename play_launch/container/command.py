@@ -109,21 +109,14 @@ def container_argv(
         parameter_file: A file with parameters for nodes that are made in it.
     """
     argv = [*config.prefix, os.fspath(binary)]
-    if config.container_type is not ContainerType.STOCK:
-        argv += _own_options(config, stop_timeout)
-    argv += config.arguments
-    return (*argv, *_ros_arguments(config, parameter_file=parameter_file))
-
-
-def _own_options(config: ContainerConfig, stop_timeout: float | None) -> list[str]:
-    argv: list[str] = []
     if config.container_type.is_isolated:
         argv += ["--isolated", "--isolation", str(config.isolation)]
         if config.memory_domains is not MemoryDomains.OFF:
             argv += ["--memory_domains", str(config.memory_domains)]
         if config.core_dumps:
             argv.append("--core_dumps")
-    if config.resources.lock_memory:
+    is_stock = config.container_type is ContainerType.STOCK
+    if config.resources.lock_memory and not is_stock:
         argv.append("--lock_memory")
     if config.container_type.is_multi_threaded:
         argv.append("--use_multi_threaded_executor")
@@ -131,7 +124,8 @@ def _own_options(config: ContainerConfig, stop_timeout: float | None) -> list[st
         argv += ["--thread_num", str(config.thread_num)]
     if stop_timeout is not None:
         argv += ["--stop_timeout", f"{stop_timeout:g}"]
-    return argv
+    argv += config.arguments
+    return (*argv, *_ros_arguments(config, parameter_file=parameter_file))
 
 
 def process_argv(

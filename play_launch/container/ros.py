@@ -12,6 +12,7 @@ import sys
 import sysconfig
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from importlib.machinery import EXTENSION_SUFFIXES
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,7 +23,7 @@ from play_launch.config.substitutions import ament_prefixes
 from play_launch.ros.fastdds.middleware import IMPLEMENTATION
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
 _PROGRAMS = Path("lib") / "play_launch_container"
 _PYTHON_PACKAGES = {
@@ -116,33 +117,33 @@ def ros_installation(
     )
 
 
-def component_container(
-    environ: Mapping[str, str] | None = None, *, prefix: Path | None = None
+def _program(
+    name: str, environ: Mapping[str, str] | None = None, *, prefix: Path | None = None
 ) -> Path:
-    """Find the container's program.
+    """Find a program of ours.
 
     Raises:
         NotInstalledError: When it is nowhere.
     """
-    return _program("component_container", environ, prefix)
+    environ = os.environ if environ is None else environ
+    prefix = Path(sys.prefix) if prefix is None else prefix
+    for entry in dict.fromkeys([prefix, *ament_prefixes(environ)]):
+        path = entry / _PROGRAMS / name
+        if path.is_file() and os.access(path, os.X_OK):
+            return path
+    raise NotInstalledError(
+        f"the program {name} is neither in {prefix / _PROGRAMS} nor in a prefix of "
+        "AMENT_PREFIX_PATH: install play-launch-py as a package (pip install .), a bare checkout "
+        "has no programs"
+    )
 
 
-def spawn_guard(environ: Mapping[str, str] | None = None, *, prefix: Path | None = None) -> Path:
-    """Find the program that ties a child's life to ours.
-
-    Raises:
-        NotInstalledError: When it is nowhere.
-    """
-    return _program("spawn_guard", environ, prefix)
-
-
-def topic_recorder(environ: Mapping[str, str] | None = None, *, prefix: Path | None = None) -> Path:
-    """Find the program that records topics.
-
-    Raises:
-        NotInstalledError: When it is nowhere.
-    """
-    return _program("topic_recorder", environ, prefix)
+component_container = partial(_program, "component_container")
+"""Find the container's program."""
+spawn_guard = partial(_program, "spawn_guard")
+"""Find the parent of all processes of a session."""
+topic_recorder = partial(_program, "topic_recorder")
+"""Find the program that records topics."""
 
 
 def python_packages_problem() -> str | None:
@@ -168,20 +169,6 @@ def python_packages_problem() -> str | None:
     return None
 
 
-def _program(name: str, environ: Mapping[str, str] | None, prefix: Path | None) -> Path:
-    environ = os.environ if environ is None else environ
-    prefix = Path(sys.prefix) if prefix is None else prefix
-    for entry in _unique([prefix, *ament_prefixes(environ)]):
-        path = entry / _PROGRAMS / name
-        if path.is_file() and os.access(path, os.X_OK):
-            return path
-    raise NotInstalledError(
-        f"the program {name} is neither in {prefix / _PROGRAMS} nor in a prefix of "
-        "AMENT_PREFIX_PATH: install play-launch-py as a package (pip install .), a bare checkout "
-        "has no programs"
-    )
-
-
 def _holds_rcl(prefix: Path) -> bool:
     return (prefix / _MARKER).is_file()
 
@@ -191,10 +178,6 @@ def _is_same(one: Path, other: Path) -> bool:
         return one.samefile(other)
     except OSError:
         return False
-
-
-def _unique(paths: Sequence[Path]) -> Iterator[Path]:
-    return iter(dict.fromkeys(paths))
 
 
 RMW_VARIABLE: Final = "RMW_IMPLEMENTATION"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
-from enum import StrEnum
 from itertools import count
 from typing import TYPE_CHECKING, Final
 
@@ -13,8 +12,15 @@ import anyio
 
 from play_launch.config.model import Autostart
 from play_launch.config.node_key import NodeKey
+from play_launch.config.text import listed
 from play_launch.control.messages import ActionResult, Results, SignalRequest
-from play_launch.control.protocol import COMMAND_LIMIT, Code, OperationError
+from play_launch.control.protocol import (
+    COMMAND_LIMIT,
+    MEMBER_ACTIONS,
+    NODE_ACTIONS,
+    Code,
+    OperationError,
+)
 from play_launch.control.units import chosen, full_name, members_of, nodes_of
 from play_launch.process.identity import NoSuchProcessError, ProcessHandle, ProcessIdentity
 from play_launch.recording.resolved_form import redacted_arguments
@@ -44,20 +50,6 @@ if TYPE_CHECKING:
     Outcomes = dict[Target, str]
 
 
-class OperatorAction(StrEnum):
-    """An operator's action on units."""
-
-    START = "start"
-    STOP = "stop"
-    RESTART = "restart"
-    LOAD = "load"
-    UNLOAD = "unload"
-    RELOAD = "reload"
-    SIGNAL = "signal"
-
-
-FOR_MEMBERS: Final = frozenset({OperatorAction.START, OperatorAction.STOP, OperatorAction.RESTART})
-FOR_NODES: Final = frozenset({OperatorAction.LOAD, OperatorAction.UNLOAD, OperatorAction.RELOAD})
 DONE: Final = ""
 """Outcome of an action on one unit; any other text is the reason why it failed."""
 _REMOVED: Final = "it was taken out of the system"
@@ -132,16 +124,16 @@ class Actions:
         self._feed = feed
         self._log = log
 
-    async def act(self, action: OperatorAction, request: ActionRequest, caller: Caller) -> Results:
+    async def act(self, action: str, request: ActionRequest, caller: Caller) -> Results:
         targets = self._targets(action, request.names)
         self._refuse_if_stopping()
         number = _signal(request.signal) if isinstance(request, SignalRequest) else None
-        if action in {OperatorAction.LOAD, OperatorAction.RELOAD}:
+        if action in {"load", "reload"}:
             self._refuse_if_container_is_stopped(targets)
         names = [str(target) for target in targets]
         outcomes: Outcomes = {}
         details = number.name if number else ""
-        async with self._log.recorded(action.value, names, caller, details):
+        async with self._log.recorded(action, names, caller, details):
             if number is not None:
                 outcomes = {target: self._send_signal(target, number) for target in targets}
             else:
@@ -151,7 +143,7 @@ class Actions:
 
     async def wait(self, request: WaitRequest, _caller: Caller) -> Results:
         """Wait until all units are up at the same moment; raises OperationError when one fails."""
-        named = self._targets(None, request.names) if request.names else []
+        named = self._targets("wait", request.names) if request.names else []
         self._refuse_if_stopping()
         targets = named or self._expected()
         outcomes: Outcomes = {}
@@ -183,13 +175,13 @@ class Actions:
         processes = [each for each in self._system.processes if each not in view.dismissed]
         return [*members_of(expected, processes), *nodes_of(expected)]
 
-    def _targets(self, action: OperatorAction | None, names: Sequence[str]) -> list[Target]:
+    def _targets(self, action: str, names: Sequence[str]) -> list[Target]:
         members = members_of(self._publisher.view, self._system.processes)
         nodes = nodes_of(self._publisher.view)
-        if action in FOR_MEMBERS:
+        if action in MEMBER_ACTIONS:
             hint = "is a composable node; use load, unload or reload"
             return chosen(names, members, nodes, hint)
-        if action in FOR_NODES:
+        if action in NODE_ACTIONS:
             hint = "is not a composable node; use start, stop or restart"
             return chosen(names, nodes, members, hint)
         return chosen(names, [*members, *nodes])
@@ -221,9 +213,7 @@ class Actions:
         with self._feed.followed_by(see):
             yield changed
 
-    async def _carry_out(
-        self, action: OperatorAction, targets: Sequence[Target], outcomes: Outcomes
-    ) -> None:
+    async def _carry_out(self, action: str, targets: Sequence[Target], outcomes: Outcomes) -> None:
         """Begin it for all units, and wait for the outcome of each; cancelled at the timeout."""
         gave_up = {each for each in targets if self._state(each) is ContainerState.GAVE_UP}
         with self._state_changes() as changed:
@@ -232,7 +222,7 @@ class Actions:
                     self._begin(action, target)
                 except KeyError:  # a configuration without it was applied since it was chosen
                     outcomes[target] = _REMOVED
-            if action is OperatorAction.STOP:
+            if action == "stop":
                 async with anyio.create_task_group() as tasks:
                     for target in targets:
                         tasks.start_soon(self._until_stopped, target, target in gave_up, outcomes)
@@ -246,16 +236,14 @@ class Actions:
                 await changed.wait()
                 changed.clear()
 
-    def _begin(self, action: OperatorAction, target: Target) -> None:
+    def _begin(self, action: str, target: Target) -> None:
         match action:
-            case OperatorAction.START | OperatorAction.LOAD:
+            case "start" | "load":
                 self._system.start(target)
-            case OperatorAction.STOP | OperatorAction.UNLOAD:
+            case "stop" | "unload":
                 self._system.stop(target, _REASON)
-            case OperatorAction.RESTART | OperatorAction.RELOAD:
-                self._system.restart(target, _REASON)
             case _:
-                raise AssertionError(action, target)
+                self._system.restart(target, _REASON)
 
     async def _until_stopped(self, target: Target, gave_up: bool, outcomes: Outcomes) -> None:
         """Wait until nothing is left of a member.
@@ -274,10 +262,10 @@ class Actions:
 
     # Outcomes, from states alone: None while an action is under way.
 
-    def _outcome(self, action: OperatorAction, target: Target) -> str | None:
+    def _outcome(self, action: str, target: Target) -> str | None:
         if isinstance(target, str):
             return self._of_member(target)
-        if action is OperatorAction.UNLOAD:
+        if action == "unload":
             found = self._node(target)
             return _REMOVED if found is None else DONE if found[1].state in _LEFT else None
         return self._of_node(target, _NOT_LOADED | {NodeState.CRASHED})
@@ -379,11 +367,9 @@ async def _within(
             await work
     except TimeoutError:
         left = [full_name(target) for target in targets if target not in outcomes]
-        named = ", ".join(left[:_LISTED])
-        more = f" and {len(left) - _LISTED} more" if len(left) > _LISTED else ""
         raise OperationError(
             Code.TIMEOUT,
-            f"not done within {limit:.3g} s: {named}{more}",
+            f"not done within {limit:.3g} s: {listed(left, _LISTED)}",
             results=_results(targets, outcomes).results,
         ) from None
 

@@ -8,6 +8,7 @@ import socket
 import sys
 import time
 from itertools import count
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 from play_launch.control.protocol import (
@@ -209,7 +210,7 @@ def own_command() -> tuple[str, ...]:
     """Return the command line of this process, for the record of its actions."""
     program, *words = sys.argv
     command, left = [], COMMAND_LIMIT
-    for word in (os.path.basename(program), *words):  # noqa: PTH119 - pathlib is slow to import
+    for word in (Path(program).name, *words):
         command.append(word[:left])
         left -= len(word)
         if left <= 0:
@@ -241,16 +242,6 @@ def _hello(message: dict[str, Any]) -> SessionInfo:
             f"command {PROTOCOL}; use the command of the session's version",
         )
     try:
-        return SessionInfo(*(kind(found[name]) for name, kind in _FIELDS.items()))
-    except (KeyError, TypeError, ValueError) as error:
+        return SessionInfo(**{name: found[name] for name in SessionInfo._fields})
+    except KeyError as error:
         raise OperationError(Code.PROTOCOL, f"the hello lacks {error}") from None
-
-
-_FIELDS: Final = {
-    "pid": int,
-    "name": str,
-    "session": str,
-    "folder": str,
-    "version": str,
-    "started_ns": int,
-}

@@ -6,9 +6,13 @@ import math
 from enum import Enum, IntEnum
 from typing import Final, NamedTuple
 
+from msgspec.structs import asdict
+
 from play_launch.config.node_key import NodeKey
+from play_launch.config.text import listed
 from play_launch.process.exit import Exit
 from play_launch.recording.console_format import ERROR, INFO, WARN, line_level
+from play_launch.supervisor.endpoints import Endpoint
 from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,
@@ -104,6 +108,8 @@ def words_of(event: RunEvent) -> EventText:
         case GraphChanged():
             changes = [f"+ {name}" for name in event.appeared]
             changes += [f"- {name}" for name in event.vanished]
+            for sign, many in (("+", event.endpoints_appeared), ("-", event.endpoints_vanished)):
+                changes += [f"{sign} {len(many)} publishers and subscriptions"] if many else []
             return EventText(INFO, "graph", ", ".join(changes))
         case Withdrawn():
             return EventText(INFO, event.key, because("taken out of the system", event.reason))
@@ -152,10 +158,7 @@ def _process(event: ProcessEvent) -> str:
 
 
 def _operation(event: ActionEvent) -> str:
-    names = ", ".join(event.targets[:_TARGETS_LIMIT])
-    if more := event.targets[_TARGETS_LIMIT:]:
-        names += f" and {len(more)} more"
-    what = f"{event.action} {names}".rstrip()
+    what = f"{event.action} {listed(event.targets, _TARGETS_LIMIT)}".rstrip()
     match event.phase:
         case ActionPhase.REQUESTED:
             reason = f" ({event.reason})" if event.reason else ""
@@ -225,6 +228,8 @@ def _plain(value: object) -> object:
         return value.name.lower()
     if isinstance(value, Enum):
         return value.value
+    if isinstance(value, Endpoint):
+        return asdict(value)
     return str(value) if isinstance(value, NodeKey) else value
 
 
@@ -240,7 +245,7 @@ def names_of(event: RunEvent) -> tuple[str, ...]:
         case OutputLine():
             return (event.process,)
         case ComponentEvent():
-            return (event.full_node_name,)
+            return (event.full_node_name or event.plugin_name,)
         case ActionEvent():
             return event.targets
         case ManagedNodeChanged():

@@ -8,10 +8,8 @@ import re
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
-from msgspec import Struct
-
 from play_launch.config.node_key import NodeKey
-from play_launch.control.event_words import EVENT_TYPES, event_object, names_of
+from play_launch.control.event_words import EVENT_TYPES, event_object, names_of, words_of
 from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent, Sample
 
 if TYPE_CHECKING:
@@ -97,36 +95,28 @@ class _Lines:
             self._text -= len(self.lines.popleft().text)
 
 
-class Selection(Struct, frozen=True):
-    """Kinds of events, and the units that they are about."""
+class Selection:
+    """Kinds of events (none: the usual ones), and the units that they are about (None: all)."""
 
-    kinds: frozenset[str] = USUAL_KINDS
-    names: frozenset[str] | None = None
-    """Full names of containers, nodes and processes; None: all events."""
-    loggers: frozenset[str] = frozenset()
-    """Of the nodes among them, whose output comes through their container."""
+    def __init__(self, kinds: Iterable[str], targets: Sequence[NodeKey | str] | None) -> None:
+        self._kinds = frozenset(kinds) or USUAL_KINDS
+        nodes = [each.name for each in targets or () if isinstance(each, NodeKey)]
+        members = [each for each in targets or () if isinstance(each, str)]
+        self._names = None if targets is None else {*nodes, *members}
+        # The output of nodes comes through their container.
+        self._loggers = [*map(logger_of, nodes)]
 
     def wants(self, event: RunEvent) -> bool:
-        if EVENT_TYPES[type(event)] not in self.kinds:
+        if EVENT_TYPES[type(event)] not in self._kinds:
             return False
-        if self.names is None or not self.names.isdisjoint(names_of(event)):
+        if self._names is None or not self._names.isdisjoint(names_of(event)):
             return True
-        if not self.loggers or not isinstance(event, OutputLine):
+        if not self._loggers or not isinstance(event, OutputLine):
             return False
         found = CONSOLE_FORMAT.match(event.text)
         return found is not None and any(
-            found[1] == each or found[1].startswith(f"{each}.") for each in self.loggers
+            found[1] == each or found[1].startswith(f"{each}.") for each in self._loggers
         )
-
-
-def selection_of(kinds: Iterable[str], targets: Sequence[NodeKey | str] | None) -> Selection:
-    """Select events by kinds (none: the usual ones) and units (None: all)."""
-    chosen = frozenset(kinds) or USUAL_KINDS
-    if targets is None:
-        return Selection(chosen)
-    nodes = [each.name for each in targets if isinstance(each, NodeKey)]
-    members = [each for each in targets if isinstance(each, str)]
-    return Selection(chosen, frozenset([*nodes, *members]), frozenset(map(logger_of, nodes)))
 
 
 def logger_of(node: str) -> str:
@@ -164,6 +154,4 @@ class Follower:
 
 def _message(event: RunEvent) -> dict[str, object]:
     """Return the fields of an event, and its words."""
-    from play_launch.control.event_words import words_of  # noqa: PLC0415 - not before the start
-
     return event_object(event) | words_of(event)._asdict()

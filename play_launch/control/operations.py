@@ -10,8 +10,8 @@ from msgspec import Struct
 
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import NODE_PARAMETERS
-from play_launch.control.actions import ActionLog, Actions, OperatorAction
-from play_launch.control.feed import KINDS, Follower, selection_of
+from play_launch.control.actions import ActionLog, Actions
+from play_launch.control.feed import KINDS, Follower, Selection
 from play_launch.control.messages import (
     ActionRequest,
     ChangeRequest,
@@ -27,15 +27,21 @@ from play_launch.control.messages import (
     WaitRequest,
     read_arguments,
 )
-from play_launch.control.protocol import ROS_VARIABLES, Code, OperationError
+from play_launch.control.protocol import (
+    MEMBER_ACTIONS,
+    NODE_ACTIONS,
+    ROS_VARIABLES,
+    Code,
+    OperationError,
+)
 from play_launch.control.units import (
     chosen,
     full_name,
-    key_of,
     members_of,
     nodes_of,
     rows_of,
     status_of,
+    target_of,
     with_groups,
 )
 from play_launch.recording.topic_recorder import SnapshotError
@@ -108,12 +114,10 @@ class Operations:
             "environment": (Nothing, self._give_environment),
             "wait": (WaitRequest, actions.wait),
             **{
-                action.value: (
-                    SignalRequest if action is OperatorAction.SIGNAL else ActionRequest,
-                    partial(actions.act, action),
-                )
-                for action in OperatorAction
+                action: (ActionRequest, partial(actions.act, action))
+                for action in (*MEMBER_ACTIONS, *NODE_ACTIONS)
             },
+            "signal": (SignalRequest, partial(actions.act, "signal")),
             "snapshot": (Nothing, self._snapshot),
             "apply": (ChangeRequest, apply),
         }
@@ -135,24 +139,22 @@ class Operations:
         view = self._publisher.view
         rows = rows_of(view, self._system.processes, self._samples)
         if request.names:
-            found = {str(target) for target in self._chosen(request.names)}
-            rows = [row for row in rows if key_of(row) in found]
+            found = set(self._chosen(request.names))
+            rows = [row for row in rows if target_of(row) in found]
         return await asyncio.to_thread(with_groups, rows)
 
     async def _status(self, request: Selected, caller: Caller) -> list[UnitStatus]:
         rows = await self._ps(request, caller)
-        targets = {str(target): target for target in self._chosen([key_of(row) for row in rows])}
         recent = self._feed.recent()
         found = [
             status_of(
                 row,
                 self._system.world,
                 self._publisher.view,
-                tuple(_restarts_of(targets[key_of(row)], recent))[-_SHOWN:],
-                tuple(_output_of(targets[key_of(row)], recent))[-_SHOWN:],
+                tuple(_restarts_of(target_of(row), recent))[-_SHOWN:],
+                tuple(_output_of(target_of(row), recent))[-_SHOWN:],
             )
             for row in rows
-            if key_of(row) in targets
         ]
         return [each for each in found if each is not None]
 
@@ -162,7 +164,7 @@ class Operations:
             text = f"kinds: there are no events {min(wrong)!r:.80}; there are: {listed}"
             raise OperationError(Code.BAD_ARGUMENTS, text)
         targets = self._chosen(request.names) if request.names else None
-        follower = Follower(selection_of(request.kinds, targets))
+        follower = Follower(Selection(request.kinds, targets))
         past = [] if request.only_new else self._feed.recent()
         with self._feed.followed_by(follower.append):
             await follower.send_all(past, caller.send)
@@ -209,7 +211,7 @@ def _restarts_of(target: Target, events: Sequence[RunEvent]) -> Iterator[Restart
 
 
 def _output_of(target: Target, events: Sequence[RunEvent]) -> Iterator[LastLine]:
-    selection = selection_of({"output"}, [target])
+    selection = Selection({"output"}, [target])
     for event in events:
         if isinstance(event, OutputLine) and selection.wants(event):
             yield LastLine(event.stamp_ns, event.stream.value, event.text)

@@ -20,6 +20,10 @@ ANSWER_LIMIT: Final = 16 * 1024 * 1024
 """Bytes of a line to a client."""
 COMMAND_LIMIT: Final = 1000
 """Characters of a client's command line that are sent and recorded."""
+MEMBER_ACTIONS: Final = ("start", "stop", "restart")
+"""Operations on containers and processes."""
+NODE_ACTIONS: Final = ("load", "unload", "reload")
+"""Operations on composable nodes."""
 ROS_VARIABLES: Final = (
     "ROS_",
     "RMW_",

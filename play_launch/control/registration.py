@@ -11,7 +11,9 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
+import stat
 import struct
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 if TYPE_CHECKING:
@@ -69,10 +71,10 @@ class ControlSocket:
 
     def __init__(self, folder: str) -> None:
         """Listen, and register the session; errors become problems: the run matters more."""
-        self.folder = os.path.abspath(folder)  # noqa: PTH100 - pathlib is slow to import
+        self.folder = str(Path(folder).absolute())
         self.socket: socket.socket | None = None
         self.problems: list[str] = []
-        self._made: list[str] = []
+        self._made: list[Path] = []
         try:
             self.socket = _listening(self.folder)
         except OSError as error:
@@ -80,7 +82,7 @@ class ControlSocket:
                 f"the session cannot be controlled: no socket in {self.folder}: {error}"
             )
             return
-        self._made.append(f"{self.folder}/{CONTROL_SOCKET}")
+        self._made.append(Path(self.folder, CONTROL_SOCKET))
         try:
             self._made.append(register(self.folder))
         except OSError as error:
@@ -98,7 +100,7 @@ class ControlSocket:
         """Remove socket file and link; to be called before the socket is closed."""
         while self._made:
             with contextlib.suppress(OSError):
-                os.unlink(self._made.pop())  # noqa: PTH108 - as above
+                self._made.pop().unlink()
 
 
 def _listening(folder: str) -> socket.socket:
@@ -109,7 +111,7 @@ def _listening(folder: str) -> socket.socket:
             # Before it is bound, so that no other user can connect.
             os.fchmod(listening.fileno(), 0o600)
             listening.bind(address)
-        os.chmod(f"{folder}/{CONTROL_SOCKET}", 0o600)  # noqa: PTH101 - as above
+        Path(folder, CONTROL_SOCKET).chmod(0o600)
         listening.listen(_BACKLOG)
     except BaseException:
         listening.close()
@@ -117,21 +119,20 @@ def _listening(folder: str) -> socket.socket:
     return listening
 
 
-def links_folder() -> str:
+def links_folder() -> Path:
     """Return the folder of this user's links, which may not exist yet."""
-    return os.environ.get(LINKS) or f"{SHARED_MEMORY}/{_PREFIX}{os.geteuid()}"
+    return Path(os.environ.get(LINKS) or f"{SHARED_MEMORY}/{_PREFIX}{os.geteuid()}")
 
 
-def register(folder: str) -> str:
+def register(folder: str) -> Path:
     """Link this process to the folder of its session and return the link; raises OSError."""
     links = links_folder()
-    os.makedirs(links, mode=0o700, exist_ok=True)  # noqa: PTH103 - pathlib is slow to import
+    links.mkdir(mode=0o700, parents=True, exist_ok=True)
     if not _is_of(os.geteuid(), links):
         raise PermissionError(f"{links} belongs to another user")
-    path = f"{links}/{Link(os.getpid(), folder, _stat('self')[1], _namespace()).name}"
-    with contextlib.suppress(FileNotFoundError):
-        os.unlink(path)  # noqa: PTH108 - of an earlier session of this process
-    os.symlink(folder, path)  # noqa: PTH211
+    path = links / Link(os.getpid(), folder, _stat("self")[1], _namespace()).name
+    path.unlink(missing_ok=True)  # of an earlier session of this process
+    path.symlink_to(folder)
     return path
 
 
@@ -144,13 +145,12 @@ def registered_by_others() -> list[tuple[int, Link]]:
     if os.geteuid() != 0 or os.environ.get(LINKS):
         return []
     with contextlib.suppress(OSError):
-        names = sorted(os.listdir(SHARED_MEMORY))  # noqa: PTH208
-        users = [name.removeprefix(_PREFIX) for name in names if name.startswith(_PREFIX)]
         return [
             (int(user), link)
-            for user in users
+            for folder in sorted(Path(SHARED_MEMORY).glob(f"{_PREFIX}*"))
+            for user in (folder.name.removeprefix(_PREFIX),)
             if user.isdecimal() and int(user) != os.geteuid()
-            for link in _links_in(f"{SHARED_MEMORY}/{_PREFIX}{user}", int(user))
+            for link in _links_in(folder, int(user))
             if is_alive(link)
         ]
     return []
@@ -158,7 +158,7 @@ def registered_by_others() -> list[tuple[int, Link]]:
 
 def is_registered(link: Link) -> bool:
     """Whether the link still exists: a session that ends removes it first."""
-    return os.path.lexists(f"{links_folder()}/{link.name}")
+    return (links_folder() / link.name).is_symlink()
 
 
 def is_alive(link: Link) -> bool:
@@ -178,7 +178,7 @@ def is_local(link: Link) -> bool:
 
 def forget(link: Link) -> None:
     with contextlib.suppress(OSError):
-        os.unlink(f"{links_folder()}/{link.name}")  # noqa: PTH108
+        (links_folder() / link.name).unlink()
 
 
 def peer_of(connection: socket.socket) -> Peer:
@@ -201,36 +201,34 @@ def address_of(folder: str) -> Iterator[str]:
         os.close(descriptor)
 
 
-def _links_in(links: str, user: int) -> list[Link]:
+def _links_in(links: Path, user: int) -> list[Link]:
     found: list[tuple[int, Link]] = []
     if not _is_of(user, links):
         return []
-    for name in os.listdir(links):  # noqa: PTH208
-        numbers = name.split("-")
+    for path in links.iterdir():
+        numbers = path.name.split("-")
         if len(numbers) != _NUMBERS or not all(number.isdecimal() for number in numbers):
             continue
         pid, start_time, namespace = map(int, numbers)
         with contextlib.suppress(OSError):
-            made = os.lstat(f"{links}/{name}").st_mtime_ns
-            folder = os.readlink(f"{links}/{name}")  # noqa: PTH115
-            found.append((made, Link(pid, folder, start_time, namespace)))
+            link = Link(pid, str(path.readlink()), start_time, namespace)
+            found.append((path.lstat().st_mtime_ns, link))
     return [link for _, link in sorted(found)]
 
 
-def _is_of(user: int, folder: str) -> bool:
+def _is_of(user: int, folder: Path) -> bool:
     """Whether a path is a folder, not a link, and belongs to that user."""
     try:
-        status = os.lstat(folder)
+        status = folder.lstat()
     except OSError:
         return False
-    return status.st_uid == user and (status.st_mode & 0o170000) == 0o040000
+    return status.st_uid == user and stat.S_ISDIR(status.st_mode)
 
 
 def _stat(pid: int | Literal["self"]) -> tuple[bytes, int]:
-    with open(f"/proc/{pid}/stat", "rb") as file:  # noqa: PTH123
-        fields = file.read().rpartition(b")")[2].split()
+    fields = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
     return fields[0], int(fields[_START_TIME])
 
 
 def _namespace() -> int:
-    return os.stat("/proc/self/ns/pid").st_ino  # noqa: PTH116
+    return Path("/proc/self/ns/pid").stat().st_ino

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
+from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.config.load import load_config, parse_config
@@ -72,10 +73,10 @@ async def serve_control(
     requests are served.
     """
     changes = Changes(
-        config,
-        system,
-        publisher,
-        session.recorder,
+        started_with=config,
+        system=system,
+        recorder=session.recorder,
+        log=ActionLog(publisher),
         hide_secrets=hide_secrets,
         adopt=adopt,
         keeps_duration=keeps_duration,
@@ -109,32 +110,21 @@ async def serve_control(
         _log.exception("the session can no longer be controlled")
 
 
-class Changes:
+class Changes(Struct, kw_only=True, eq=False):
     """Compares a running system with other configurations, and applies them."""
 
-    def __init__(
-        self,
-        config: ReplayConfig,
-        system: System,
-        publisher: Publisher,
-        recorder: Recorder,
-        *,
-        hide_secrets: Callable[[ReplayConfig], None],
-        adopt: Callable[[ReplayConfig], None],
-        keeps_duration: bool,
-    ) -> None:
-        self.log = ActionLog(publisher)
-        """Numbers and publishes the actions of the session."""
-        self._started_with = config
-        self._system = system
-        self._recorder = recorder
-        self._hide_secrets = hide_secrets
-        self._adopt = adopt
-        self._keeps_duration = keeps_duration
-        self._number = 0
-        self._task: asyncio.Task[Applied] | None = None
-        self._source = ""
-        """File of the configuration that is being applied, or was applied last."""
+    started_with: ReplayConfig
+    system: System
+    recorder: Recorder
+    log: ActionLog
+    hide_secrets: Callable[[ReplayConfig], None]
+    adopt: Callable[[ReplayConfig], None]
+    keeps_duration: bool
+    number: int = 0
+    """Of the configurations that were applied."""
+    task: asyncio.Task[Applied] | None = None
+    source: str = ""
+    """File of the configuration that is being applied, or was applied last."""
 
     async def apply(self, request: ChangeRequest, caller: Caller) -> object:
         """Send the plan, and apply it unless it is a dry run; raises OperationError."""
@@ -147,7 +137,7 @@ class Changes:
             raise OperationError(Code.BAD_ARGUMENTS, str(error)) from None
         target = self._with_command_line(target)
         if request.dry_run:
-            applying = self._source if self._is_busy else None
+            applying = self.source if self._is_busy else None
             return {"plan": self._applying.plan(target), "applying": applying}
         ended: asyncio.Queue[Plan | StepOutcome | None] = asyncio.Queue()
         task = self._begin(
@@ -170,8 +160,8 @@ class Changes:
 
         async def apply(target: ReplayConfig) -> None:
             target = self._with_command_line(target)
-            while self._task is not None and self._is_busy:
-                await asyncio.wait({self._task})
+            while self.task is not None and self._is_busy:
+                await asyncio.wait({self.task})
             if not self._applying.plan(target).to_do:
                 return
             try:
@@ -181,14 +171,14 @@ class Changes:
                 _log.warning(text, target.source, error)
 
         try:
-            await watch(watched, self._started_with, apply)
+            await watch(watched, self.started_with, apply)
         except Exception:  # noqa: BLE001 - the run goes on
             _log.exception("%s is no longer watched", watched.path)
 
     def _with_command_line(self, target: ReplayConfig) -> ReplayConfig:
         """Put into ``target`` what the command line of the session said."""
-        began = self._started_with
-        if self._keeps_duration:
+        began = self.started_with
+        if self.keeps_duration:
             target = replace(target, duration=began.duration)
         folders = began.log_dir, target.log_dir
         if None not in folders and len({str(each and each.absolute()) for each in folders}) == 1:
@@ -197,11 +187,11 @@ class Changes:
 
     @property
     def _is_busy(self) -> bool:
-        return self._task is not None and not self._task.done()
+        return self.task is not None and not self.task.done()
 
     @property
     def _applying(self) -> Applying:
-        return self._system.applying
+        return self.system.applying
 
     def _begin(
         self,
@@ -212,13 +202,13 @@ class Changes:
         rolls_back: bool = False,
         report: Callable[[Plan | StepOutcome], None] = lambda _: None,
     ) -> asyncio.Task[Applied]:
-        if self._system.is_stopping:
+        if self.system.is_stopping:
             raise OperationError(Code.REFUSED, "the session is being stopped")
         if self._is_busy:
             raise OperationError(
                 Code.REFUSED, "another configuration is being applied; try again when it is done"
             )
-        self._source = str(target.source)
+        self.source = str(target.source)
 
         async def carry_out() -> Applied:
             plan = self._applying.plan(target)
@@ -226,15 +216,15 @@ class Changes:
             names = [step.name for step in plan.steps if step.name]
             async with self.log.recorded("apply", names, caller, str(target.source)):
                 if plan.to_do:
-                    self._number += 1
-                    self._hide_secrets(target)
-                    _attach(self._recorder, target, self._number)
+                    self.number += 1
+                    self.hide_secrets(target)
+                    _attach(self.recorder, target, self.number)
                 try:
                     applied = await self._applying.apply(
                         target, limit=limit, rolls_back=rolls_back, on_outcome=report
                     )
                 finally:
-                    self._adopt(self._applying.config)
+                    self.adopt(self._applying.config)
                 if not applied.succeeded:
                     raise OperationError(
                         Code.FAILED, _failures(applied), applied=msgspec.to_builtins(applied)
@@ -242,10 +232,10 @@ class Changes:
                 return applied
 
         # It is carried out to its end also when the client disconnects.
-        self._task = asyncio.create_task(carry_out())
+        self.task = asyncio.create_task(carry_out())
         # Its failure is published; that the client disconnected first is not worth a log.
-        self._task.add_done_callback(lambda task: task.cancelled() or task.exception())
-        return self._task
+        self.task.add_done_callback(lambda task: task.cancelled() or task.exception())
+        return self.task
 
 
 def _read(request: ChangeRequest) -> ReplayConfig:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import os
 import re
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from play_launch.control.client import TIMEOUT, ControlClient
+from play_launch.control.client import TIMEOUT, ControlClient, SessionInfo
 from play_launch.control.protocol import Code, OperationError
 from play_launch.control.registration import (
     CONTROL_SOCKET,
@@ -61,15 +62,6 @@ class Found(NamedTuple):
     """Whether the session runs, also without an answer."""
     has_exited: bool
     """Whether it is known that it does not run; neither holds in another PID namespace."""
-
-
-class Seen(NamedTuple):
-    """A session and the rows that it answered with."""
-
-    pid: int
-    folder: str
-    name: str
-    rows: list[dict[str, Any]]
 
 
 def connect(session: str | None = None, *, limit: float = TIMEOUT) -> ControlClient:
@@ -128,17 +120,15 @@ def connect_to(folder: str, *, limit: float = TIMEOUT) -> ControlClient:
     return _client_of(_found(Link(0, folder, 0, 0), limit))
 
 
-def glance(
-    operation: str = "ps", names: Sequence[str] = (), *, limit: float = COMPLETION_TIMEOUT
-) -> list[Seen]:
+def glance(operation: str, names: Sequence[str]) -> list[tuple[SessionInfo, list[dict[str, Any]]]]:
     """Request the rows of an operation on names from all sessions of the user.
 
     Sessions that do not answer in time are left out.
     """
-    found = find(registered(), limit, operation, names)
+    found = find(registered(), COMPLETION_TIMEOUT, operation, names)
     close(found)
     return [
-        Seen(each.link.pid, each.link.folder, each.client.hello.name, each.answer)
+        (each.client.hello, each.answer)
         for each in found
         if each.client is not None and isinstance(each.answer, list)
     ]
@@ -224,7 +214,7 @@ def _is_folder(session: str) -> bool:
 
 def _may_be_called(link: Link, session: str) -> bool:
     """Whether a session may have that name, as far as its folder shows."""
-    name = os.path.basename(link.folder.rstrip("/"))  # noqa: PTH119 - pathlib is slow to import
+    name = Path(link.folder).name
     if name == session or not _STAMP.match(name):
         return True
     # Other characters are replaced there, a number may follow, and long names are cut off.
@@ -233,7 +223,7 @@ def _may_be_called(link: Link, session: str) -> bool:
 
 
 def _is_called(client: ControlClient, session: str) -> bool:
-    return session in {client.hello.name, os.path.basename(client.hello.folder)}  # noqa: PTH119
+    return session in {client.hello.name, Path(client.hello.folder).name}
 
 
 def _listed(found: Iterable[Found]) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from play_launch.config.node_key import NodeKey
+from play_launch.config.text import listed, similar
 from play_launch.control.messages import Managed, UnitRow, UnitStatus
 from play_launch.control.protocol import Code, OperationError
 from play_launch.process.cgroups.usage import group_of, usage_of
@@ -99,8 +100,8 @@ def chosen(
                 name=word,
             )
         if len(named) > 1:
-            listed = ", ".join(map(str, named[:_LISTED]))
-            raise OperationError(Code.AMBIGUOUS_NAME, f"'{word}' is ambiguous: {listed}", name=word)
+            text = f"'{word}' is ambiguous: {listed([*map(str, named)], _LISTED)}"
+            raise OperationError(Code.AMBIGUOUS_NAME, text, name=word)
         found.update(meant)
     return [each for each in candidates if each in found]
 
@@ -119,14 +120,8 @@ def _matching(word: str, candidates: Sequence[Target]) -> list[Target]:
 def _proposal(word: str, candidates: Sequence[Target]) -> str:
     if _matching(full := f"*/{word}", candidates) and set(word) & _WILD:
         return f"; patterns are over full names: '{full}'"
-    from difflib import get_close_matches  # noqa: PLC0415 - for mistakes only
-
-    names = [full_name(each) for each in candidates]
-    if similar := get_close_matches(word, names, 1, 0.5):
-        return f"; did you mean {similar[0]}?"
-    tails = {name.rpartition("/")[2]: name for name in names}
-    if similar := get_close_matches(word.rpartition("/")[2], tails, 1, 0.5):
-        return f"; did you mean {tails[similar[0]]}?"
+    if close := similar(word, map(full_name, candidates)):
+        return f"; did you mean {close}?"
     return "; play-launch ps lists all names"
 
 
@@ -159,9 +154,8 @@ def with_groups(rows: Iterable[UnitRow]) -> list[UnitRow]:
     return found
 
 
-def key_of(row: UnitRow) -> str:
-    """Return the text of the unit's key: ``/container:/node`` for a composable node."""
-    return f"{row.container}:{row.name}" if row.container else row.name
+def target_of(row: UnitRow) -> Target:
+    return NodeKey(row.container, row.name) if row.container else row.name
 
 
 def status_of(
@@ -174,14 +168,14 @@ def status_of(
     """Add to a row all that is known of its unit; None: it was removed."""
     unit: Process | Node | None
     seen: ContainerView | ProcessEvent | NodeStateChanged | None
-    if row.container is None:
-        unit = world.processes.get(row.name)
-        seen = view.containers.get(row.name) or view.processes.get(row.name)
+    target = target_of(row)
+    if isinstance(target, str):
+        unit = world.processes.get(target)
+        seen = view.containers.get(target) or view.processes.get(target)
     else:
-        key = NodeKey(row.container, row.name)
-        unit = world.nodes.get(key)
-        container = view.containers.get(row.container)
-        seen = container.nodes.get(key) if container else None
+        unit = world.nodes.get(target)
+        container = view.containers.get(target.container)
+        seen = container.nodes.get(target) if container else None
     if unit is None:
         return None
     return UnitStatus(

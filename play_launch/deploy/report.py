@@ -8,7 +8,9 @@ import time
 from typing import TYPE_CHECKING, Final
 
 import anyio
+from msgspec import Struct, field
 
+from play_launch.config.text import listed
 from play_launch.supervisor.events import (
     ActionEvent,
     ContainerState,
@@ -35,51 +37,45 @@ _STATUS_LIMIT: Final = 400
 """Characters."""
 
 
-class ServiceReport:
+class ServiceReport(Struct, eq=False):
     """Reports by a task of the event loop, to the watchdog only without a health problem."""
 
-    def __init__(
-        self,
-        manager: ServiceManager,
-        publisher: Publisher,
-        stop: StopRequests,
-        system: asyncio.Future[System],
-        operable: asyncio.Future[None],
-    ) -> None:
-        """Report to the manager.
+    manager: ServiceManager
+    publisher: Publisher
+    stop: StopRequests
+    begun: asyncio.Future[System]
+    operable: asyncio.Future[None]
+    """Done when commands reach the session, or never will: a manager may request a reload as soon
+    as the service is ready."""
+    state: str = "starting"
+    """starting, ready, reloading or stopping."""
+    status: str = ""
+    health_problem: str = ""
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
 
-        `operable` is done when commands reach the session, or never will: a manager may request a
-        reload as soon as the service is ready.
-        """
-        self._manager = manager
-        self._publisher = publisher
-        self._stop = stop
-        self._begun = system
-        self._operable = operable
-        self._state = "starting"
-        """starting, ready, reloading or stopping."""
-        self._status = ""
-        self._health_problem = ""
-        self._changed = asyncio.Event()
-        publisher.add_sink(self)
-        limit = manager.watchdog
-        self._interval = _INTERVAL if limit is None else min(_INTERVAL, limit / 3)
+    def __post_init__(self) -> None:
+        self.publisher.add_sink(self)
+
+    @property
+    def _interval(self) -> float:
+        limit = self.manager.watchdog
+        return _INTERVAL if limit is None else min(_INTERVAL, limit / 3)
 
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:  # noqa: ARG002 - a sink
         if isinstance(event, StateEvent | ManagedNodeChanged | ActionEvent):
-            self._changed.set()
+            self.changed.set()
 
     async def run(self) -> None:
         """Report until this is cancelled, and then once more."""
-        requested = asyncio.ensure_future(self._stop.requested.wait())
-        for each in (requested, self._begun, self._operable):
-            each.add_done_callback(lambda _: self._changed.set())
+        requested = asyncio.ensure_future(self.stop.requested.wait())
+        for each in (requested, self.begun, self.operable):
+            each.add_done_callback(lambda _: self.changed.set())
         try:
             while True:
                 self._report()
-                self._changed.clear()
+                self.changed.clear()
                 with anyio.move_on_after(self._interval):
-                    await self._changed.wait()
+                    await self.changed.wait()
                 await asyncio.sleep(min(_DELAY, self._interval))
         except Exception:
             _log.exception("reports to the service manager end")
@@ -90,46 +86,46 @@ class ServiceReport:
 
     def _report(self) -> None:
         """Send what is new; a message that is not accepted is sent again."""
-        has_begun = self._begun.done() and not self._begun.cancelled()
-        system = self._begun.result() if has_begun else None
+        has_begun = self.begun.done() and not self.begun.cancelled()
+        system = self.begun.result() if has_begun else None
         pending = () if system is None else system.pending
-        ends = self._stop.requested.is_set()
-        is_up = system is not None and not pending and (self._operable.done() or ends)
+        ends = self.stop.requested.is_set()
+        is_up = system is not None and not pending and (self.operable.done() or ends)
         is_changing = system is not None and system.is_changing
-        if self._state == "starting" and is_up:  # also if it stops at once
+        if self.state == "starting" and is_up:  # also if it stops at once
             self._enter("ready", "READY=1")
-        if self._state != "stopping" and ends:
+        if self.state != "stopping" and ends:
             self._enter("stopping", "STOPPING=1")
-        elif self._state == "ready" and is_changing:
+        elif self.state == "ready" and is_changing:
             now = time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000
             self._enter("reloading", "RELOADING=1", f"MONOTONIC_USEC={now}")
-        elif self._state == "reloading" and not is_changing:
+        elif self.state == "reloading" and not is_changing:
             self._enter("ready", "READY=1")
         problem = "" if system is None else system.health_problem()
-        if problem and problem != self._health_problem:
+        if problem and problem != self.health_problem:
             _log.error("the watchdog of the service manager is not notified: %s", problem)
-        self._health_problem = problem
+        self.health_problem = problem
         self._send(pending)
 
     def _enter(self, state: str, *message: str) -> None:
-        if self._manager.notify(*message):
-            self._state = state
+        if self.manager.notify(*message):
+            self.state = state
 
     def _send(self, pending: Sequence[str]) -> None:
-        words = [] if self._state == "ready" else [self._state]
-        if self._state == "starting" and pending:
-            words = [f"starting, pending: {_named(pending)}"]
-        elif self._state == "stopping" and self._stop.reason:
-            words = [f"stopping: {self._stop.reason}"]
-        status = status_text(words, self._publisher.view, self._health_problem)
+        words = [] if self.state == "ready" else [self.state]
+        if self.state == "starting" and pending:
+            words = [f"starting, pending: {listed(pending, _NAMES)}"]
+        elif self.state == "stopping" and self.stop.reason:
+            words = [f"stopping: {self.stop.reason}"]
+        status = status_text(words, self.publisher.view, self.health_problem)
         lines = []
-        if not self._health_problem:
-            lines += ["WATCHDOG=1"] if self._manager.watchdog is not None else []
-            lines += [_EXTENSION] if self._state in {"starting", "reloading"} else []
-        if status != self._status:
+        if not self.health_problem:
+            lines += ["WATCHDOG=1"] if self.manager.watchdog is not None else []
+            lines += [_EXTENSION] if self.state in {"starting", "reloading"} else []
+        if status != self.status:
             lines.append(f"STATUS={status}")
-        if lines and self._manager.notify(*lines):
-            self._status = status
+        if lines and self.manager.notify(*lines):
+            self.status = status
 
 
 def status_text(words: Sequence[str], view: SystemView, health_problem: str = "") -> str:
@@ -153,11 +149,6 @@ def status_text(words: Sequence[str], view: SystemView, health_problem: str = ""
         *(each.unit.rpartition(":")[2] for each in view.failed_managed),
     ]
     if failed:
-        parts.append(f"failed: {_named(failed)}")
+        parts.append(f"failed: {listed(failed, _NAMES)}")
     text = "; ".join(parts)
     return "".join(each if each.isprintable() else " " for each in text)[:_STATUS_LIMIT]
-
-
-def _named(names: Sequence[str]) -> str:
-    named = ", ".join(names[:_NAMES])
-    return f"{named} and {len(names) - _NAMES} more" if len(names) > _NAMES else named

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
+from msgspec.structs import astuple
 
 from play_launch.config.dependency import DependencyGraph
 from play_launch.config.resources import nice_limit
@@ -175,8 +176,7 @@ def _limits(config: ReplayConfig) -> dict[str, str]:
 
 def stop_seconds(config: ReplayConfig) -> int:
     """Return the longest time of an orderly stop: units stop after those that depend on them."""
-    limits = config.stop
-    each = limits.ask + limits.sigint + limits.sigterm + StopPolicy().sigkill
+    each: float = sum(astuple(config.stop)) + StopPolicy().sigkill
     before = DependencyGraph(config.start_rules, config.units).stopped_after()
     left, generations = set(before), 0
     while left:

@@ -24,7 +24,6 @@ from play_launch.process.cgroups.group import GroupError
 from play_launch.process.cgroups.session import delegated_group
 from play_launch.process.machine import (
     ADDRESS_SPACE_FIX,
-    PROC_FIX,
     SHARED_MEMORY_FIX,
     address_space_problem,
     full_shared_memory,
@@ -77,7 +76,8 @@ def kernel() -> CheckResult:
 
 def proc() -> CheckResult:
     if problem := proc_problem():
-        return fail("/proc", problem, _NOTHING_STARTS, PROC_FIX)
+        says, _, fix = problem.partition("; fix: ")
+        return fail("/proc", says, _NOTHING_STARTS, fix)
     return ok("/proc", "mounted")
 
 
@@ -117,8 +117,8 @@ def protection_keys() -> CheckResult:
 
 def address_space() -> CheckResult:
     subject, soft = "address space", _limit(resource.RLIMIT_AS)[0]
-    if problem := address_space_problem(soft):
-        return fail(subject, problem, _NOTHING_STARTS, ADDRESS_SPACE_FIX)
+    if problem := address_space_problem():
+        return fail(subject, problem.partition("; fix: ")[0], _NOTHING_STARTS, ADDRESS_SPACE_FIX)
     if soft is None or soft >= _ENOUGH_ADDRESS_SPACE:
         return ok(subject, size_text(soft))
     impact = "nodes cannot allocate memory, and fail with std::bad_alloc"
@@ -192,8 +192,8 @@ def shared_memory(rmw: str) -> list[CheckResult]:
     """Check `/dev/shm` for the middleware in use; empty if that is unknown."""
     subject = "shared memory"
     room = shared_memory_room()
-    is_full = full_shared_memory(room)
-    if rmw and not is_fastdds(rmw) and not is_full:
+    full = full_shared_memory().partition("; fix: ")[0]
+    if rmw and not is_fastdds(rmw) and not full:
         return [ok(subject, f"not checked: {rmw} is in use, only Fast DDS needs it")]
     if room is None or not os.access(SHARED_MEMORY, os.R_OK | os.W_OK | os.X_OK):
         return [
@@ -205,8 +205,8 @@ def shared_memory(rmw: str) -> list[CheckResult]:
             )
         ]
     says = f"{SHARED_MEMORY} has {size_text(room.total)}, {size_text(room.free)} of it free"
-    if is_full:
-        finding = fail(subject, is_full, _NOTHING_STARTS, SHARED_MEMORY_FIX)
+    if full:
+        finding = fail(subject, full, _NOTHING_STARTS, SHARED_MEMORY_FIX)
     elif room.free < _ENOUGH_SHARED_MEMORY:
         impact = "when it is full, participants cannot be created and large messages are lost"
         finding = warn(subject, says, impact, SHARED_MEMORY_FIX)

@@ -13,7 +13,8 @@ import tempfile
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.substitutions import ament_prefixes
-from play_launch.container.channel import CONTROL_FD_VARIABLE, ControlChannel, ControlError
+from play_launch.container.channel import CONTROL_FD_VARIABLE, ControlChannel
+from play_launch.container.codec import ControlError
 from play_launch.container.command import ExecutableNotFoundError, find_executable
 from play_launch.container.environment import (
     FIX,
@@ -37,10 +38,8 @@ from play_launch.doctor.check_result import CheckResult, fail, ok, warn
 from play_launch.process.machine import (
     ADDRESS_SPACE_FIX,
     SHARED_MEMORY_FIX,
-    address_space,
     address_space_problem,
     full_shared_memory,
-    shared_memory_room,
 )
 from play_launch.recording.facts import versions
 
@@ -93,8 +92,9 @@ def packages() -> CheckResult:
     return ok("packages", named)
 
 
-def ros(environ: Mapping[str, str] = os.environ) -> tuple[str, list[CheckResult]]:
+def ros() -> tuple[str, list[CheckResult]]:
     """Return the middleware in use, empty if unknown, and the findings on ROS and container."""
+    environ = os.environ
     try:
         installation = ros_installation()
     except (NotInstalledError, MixedInstallationError) as error:
@@ -109,9 +109,9 @@ def ros(environ: Mapping[str, str] = os.environ) -> tuple[str, list[CheckResult]
     findings = [ok("ROS", f"{installation.source.value} in {prefix}")]
     rmw = ""
     # Either of these ends each process that loads ROS.
-    if address_space_problem(address_space()):
+    if address_space_problem():
         obstacle, fix = "the address space is too small", ADDRESS_SPACE_FIX
-    elif full_shared_memory(shared_memory_room()):
+    elif full_shared_memory():
         obstacle, fix = "shared memory is full", SHARED_MEMORY_FIX
     else:
         obstacle = fix = ""
@@ -297,7 +297,7 @@ def isolation(mechanism: str, notes: tuple[str, ...]) -> CheckResult:
         "isolation",
         f"by {mechanism or 'nothing'}" + (f": {'; '.join(notes)}" if notes else ""),
         "messages between isolated nodes are copied through the middleware",
-        "use Linux 5.16 or newer, where nothing (seccomp, a container's profile) forbids clone()",
+        "allow clone() with CLONE_VM and waitid(): seccomp or a container's profile forbids them",
     )
 
 

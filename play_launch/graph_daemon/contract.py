@@ -41,6 +41,11 @@ ros2cli's clients ignore names with ``system.``.
 """
 JSON_METHOD: Final = "system.play_launch_json"
 """Calls the method that its first argument names, and answers with the result as a JSON text."""
+ENDPOINTS_METHOD: Final = "endpoints"
+"""For `JSON_METHOD` alone: the fields of `play_launch.supervisor.endpoints.Endpoint`, in their
+order, of each publisher and subscription of the graph. Older daemons do not have it."""
+UNSERVED_METHOD: Final = "unserved_services"
+"""As `ENDPOINTS_METHOD`: name and types of each service that has clients and no server."""
 SHUTDOWN_METHOD: Final = "system.shutdown"
 GRAPH_METHODS: Final = (
     "get_name",

@@ -15,10 +15,11 @@ import time
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from play_launch import UserError
-from play_launch.graph_daemon.contract import JSON_METHOD
+from play_launch.graph_daemon.contract import ENDPOINTS_METHOD, JSON_METHOD, UNSERVED_METHOD
 
 if TYPE_CHECKING:
     from play_launch.graph_daemon.contract import DaemonAddress
+    from play_launch.supervisor.endpoints import Endpoint
 
 DEFAULT_TIMEOUT: Final = 10.0
 """Seconds for one call; a daemon that is just being started answers within its warm-up of 5 s."""
@@ -71,6 +72,10 @@ class NodeName(NamedTuple):
     def full_name(self) -> str:
         return f"{self.namespace.removesuffix('/')}/{self.name}"
 
+    @property
+    def is_hidden(self) -> bool:
+        return not self.name or self.name.startswith("_")
+
 
 class Named(NamedTuple):
     """A topic, service or action: its full name and its types, mostly one."""
@@ -99,6 +104,16 @@ class GraphClient:
         ``arguments`` are none, or a node's name and namespace. Sorted by name.
         """
         return sorted(Named(name, tuple(types)) for name, types in self._query(method, *arguments))
+
+    def endpoints(self) -> list[Endpoint]:
+        """Give all publishers and subscriptions; a ``RemoteError`` where the daemon is older."""
+        from play_launch.supervisor.endpoints import Endpoint  # noqa: PLC0415 - msgspec is slow
+
+        return [Endpoint(*row) for row in self._query(ENDPOINTS_METHOD)]
+
+    def unserved_services(self) -> list[Named]:
+        """Give the services that have clients and no server, in the same way."""
+        return self.names_and_types(UNSERVED_METHOD)
 
     def call(self, method: str, *arguments: str) -> str:
         """Call a method that may be called twice, and return its text; empty for any other value.

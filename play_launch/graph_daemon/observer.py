@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from play_launch.graph_daemon.contract import DaemonAddress
+    from play_launch.supervisor.endpoints import Endpoint
 
 _Result = TypeVar("_Result")
 
@@ -52,6 +53,9 @@ _GONE: Final = (NoDaemonError, RemoteError, BadReplyError, ValueError, KeyError,
 """Errors which mean that our daemon has lost the port."""
 _OWN_NODES: Final = (NODE_PREFIX, "_play_launch_recorder_")
 """Prefixes of daemons' nodes, and of the one in `container_native/src/topic_recorder/ros.cpp`."""
+_OWN_ENDPOINTS: Final = tuple(f"/{prefix}" for prefix in _OWN_NODES)
+MOST_ENDPOINTS: Final = 20_000
+"""Publishers and subscriptions that are recorded; some 100 bytes each."""
 _log = logging.getLogger(__name__)
 
 
@@ -102,6 +106,8 @@ class _Observer:
         self._client = GraphClient(address)
         self._publish = publish
         self._known: Counter[str] = Counter()
+        self._endpoints: Counter[Endpoint] = Counter()
+        self._reports_endpoints = True
         self._generation = -1
         self._warning = ""
 
@@ -114,6 +120,7 @@ class _Observer:
     async def run(self) -> None:
         """Poll until the daemon has ended, and once more when cancelled."""
         self._generation = -1
+        self._reports_endpoints = True
         pause = POLL
         try:
             while True:
@@ -131,8 +138,8 @@ class _Observer:
     async def _poll(self) -> bool:
         """Publish what has changed since the last poll; return whether to poll again soon."""
         try:
-            known = str(self._generation)
-            text = await _in_a_thread(partial(self._client.call, STATUS_METHOD, known))
+            generation_known = str(self._generation)
+            text = await _in_a_thread(partial(self._client.call, STATUS_METHOD, generation_known))
             if not text:
                 self._warning = ""
                 return False
@@ -143,6 +150,7 @@ class _Observer:
             if not status["warm"]:
                 return True
             nodes = await _in_a_thread(self._client.nodes)
+            endpoints = await self._query_endpoints()
         except _GONE:
             raise
         except DaemonError as error:  # it may be busy or stopped
@@ -150,19 +158,42 @@ class _Observer:
             return True
         self._warning = ""
         self._generation = generation
-        before = self._known
+        before, known = self._known, self._endpoints
         now = Counter(each.full_name for each in nodes if not each.name.startswith(_OWN_NODES))
-        self._known = now
-        if before != now:
+        self._known, self._endpoints = now, endpoints
+        if before != now or known != endpoints:
             self._publish(
                 GraphChanged(
                     stamp_ns=stamp_ns,
                     appeared=tuple(sorted((now - before).elements())),
                     vanished=tuple(sorted((before - now).elements())),
                     nodes=now.total(),
+                    endpoints_appeared=tuple(sorted((endpoints - known).elements())),
+                    endpoints_vanished=tuple(sorted((known - endpoints).elements())),
                 )
             )
         return True
+
+    async def _query_endpoints(self) -> Counter[Endpoint]:
+        """Return those that are to be recorded; what was known before where they cannot be had."""
+        if not self._reports_endpoints:
+            return self._endpoints
+        try:
+            every = await _in_a_thread(self._client.endpoints)
+        except RemoteError as error:
+            if "no method of the graph" not in error.text:  # an older daemon's answer
+                raise DaemonError(str(error)) from error
+            _log.info("publishers and subscriptions are not recorded: %s", error)
+            self._reports_endpoints = False
+            return self._endpoints
+        if len(every) > MOST_ENDPOINTS:
+            self.warn_once(
+                f"publishers and subscriptions are not recorded: {len(every)} are more than "
+                f"{MOST_ENDPOINTS}"
+            )
+            self._reports_endpoints = False
+            return Counter()
+        return Counter(each for each in every if not each.node.startswith(_OWN_ENDPOINTS))
 
 
 def _in_a_thread(work: Callable[[], _Result]) -> asyncio.Future[_Result]:

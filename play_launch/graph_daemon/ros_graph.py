@@ -27,6 +27,7 @@ from play_launch.graph_daemon.contract import GRAPH_METHODS, NODE_PREFIX
 from play_launch.graph_daemon.xml_rpc import register_scalar, register_struct
 from play_launch.ros.fastdds.own_participant import as_our_own, end_participants_safely
 from play_launch.ros.waiting import Waiting
+from play_launch.supervisor.endpoints import UNCHECKED
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,6 +36,8 @@ _DISCOVERY_TOPIC: Final = "ros_discovery_info"
 """Every participant of ROS publishes here which nodes it has."""
 _UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"
 _LOOK: Final = 0.5
+_NO_LIMIT: Final = (2**31 - 1) * 1_000_000_000
+"""Nanoseconds; DDS reports what is infinite as this, or as a little more."""
 
 _log = logging.getLogger(__name__)
 
@@ -97,6 +100,27 @@ class RosGraph:
         nameless = sum(speaker.node_name == _UNKNOWN_NODE for speaker in speakers)
         return len(participants), nameless
 
+    def endpoints(self) -> list[tuple[object, ...]]:
+        """Give all publishers and subscriptions whose nodes are known, field by field."""
+        node = self.node
+        return [
+            (topic, *_endpoint(each))
+            for topic, _ in node.get_topic_names_and_types()
+            if topic not in UNCHECKED
+            for find in (node.get_publishers_info_by_topic, node.get_subscriptions_info_by_topic)
+            for each in find(topic)
+            if each.node_name != _UNKNOWN_NODE
+        ]
+
+    def unserved_services(self) -> list[tuple[str, list[str]]]:
+        """Give name and types of each service that has clients and no server."""
+        node = self.node
+        return [
+            (name, types)
+            for name, types in node.get_service_names_and_types()
+            if node.count_clients(name) and not node.count_services(name)
+        ]
+
     def close(self) -> None:
         self._stopping.set()
         self._watch.wake()
@@ -113,6 +137,22 @@ class RosGraph:
             _log.exception("changes of the graph are not reported; looking twice a second instead")
             while not self._stopping.wait(_LOOK):
                 self._on_change()
+
+
+def _endpoint(info: TopicEndpointInfo) -> tuple[object, ...]:
+    qos = info.qos_profile
+    return (
+        f"{info.node_namespace.rstrip('/')}/{info.node_name}",
+        info.topic_type,
+        info.endpoint_type is TopicEndpointTypeEnum.PUBLISHER,
+        qos.reliability.value,
+        qos.durability.value,
+        qos.liveliness.value,
+        *(
+            each.nanoseconds if each.nanoseconds < _NO_LIMIT else 0
+            for each in (qos.deadline, qos.liveliness_lease_duration)
+        ),
+    )
 
 
 def graph_functions(graph: Callable[[], RosGraph]) -> dict[str, Callable[..., Any]]:

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from xmlrpc.server import SimpleXMLRPCDispatcher
 
 from play_launch.graph_daemon.contract import (
+    ENDPOINTS_METHOD,
     GRAPH_METHODS,
     JSON_METHOD,
     SHUTDOWN_METHOD,
     STATUS_METHOD,
+    UNSERVED_METHOD,
 )
 from play_launch.graph_daemon.warm_up import Population, Pulse
 from play_launch.graph_daemon.xml_rpc import dump_fault, dump_response, parse_call
@@ -161,6 +163,10 @@ class GraphService:
             if method == STATUS_METHOD:
                 return dump_response(self._status(*arguments))
             if method == JSON_METHOD:
+                if arguments == (ENDPOINTS_METHOD,):
+                    return dump_response(json.dumps(self.graph.endpoints()))
+                if arguments == (UNSERVED_METHOD,):
+                    return dump_response(json.dumps(self.graph.unserved_services()))
                 if not arguments or arguments[0] not in GRAPH_METHODS:
                     raise ValueError("no method of the graph")  # noqa: TRY301 - becomes a fault
                 found = self._dispatcher._dispatch(arguments[0], arguments[1:])  # noqa: SLF001

@@ -16,9 +16,7 @@ from play_launch import UserError
 from play_launch.graph_daemon.contract import IDLE_TIMEOUT, WARM
 from play_launch.graph_daemon.port import acquire
 from play_launch.process.machine import (
-    SHARED_MEMORY_FIX,
     full_shared_memory,
-    shared_memory_room,
 )
 from play_launch.ros.fastdds.middleware import PROFILE_FILES
 
@@ -71,8 +69,8 @@ def start_daemon(
     if port.listener is None:
         return StartedDaemon(started=False, pid=port.pid, messages=port.messages)
     with port.listener as listener:
-        if full := full_shared_memory(shared_memory_room()):
-            raise DaemonStartError(f"{full}; fix: {SHARED_MEMORY_FIX}")
+        if full := full_shared_memory():
+            raise DaemonStartError(full)
         read, write = os.pipe()
         log = _log_file(log_path(address, environment))
         try:

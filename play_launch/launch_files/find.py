@@ -26,7 +26,7 @@ def find(words: list[str]) -> Path:
     """Return the launch file for one word, a path, or two, a package and the name of a file.
 
     Raises:
-        LaunchFileError: When there is none, or more than one.
+        LaunchFileError: When there is no such file, or more than one.
     """
     if len(words) == 1:
         path = Path(words[0]).expanduser()

@@ -25,12 +25,13 @@ from msgspec import Struct
 from play_launch import UserError
 from play_launch.postmortem.records import (
     LATEST,
+    MESSAGE,
+    MESSAGE_KIND,
     RECORD,
     BrokenError,
     Runs,
     check_end,
     end_of_indexes,
-    equal_records,
     is_too_long,
     read_attachment,
     read_chunk,
@@ -38,19 +39,16 @@ from play_launch.postmortem.records import (
     read_record,
     refuse,
 )
-from play_launch.recording.bag import PART_METADATA, REPEATED
 from play_launch.recording.clock import CLOCK_METADATA
-from play_launch.recording.folder import BAG_NAME, PartFile, open_bag, part_path, parts_of
-from play_launch.recording.mcap_file import MAGIC
-from play_launch.recording.topics import KEY, KIND
+from play_launch.recording.folder import BAG_NAME, MAGIC, PartFile, open_bag, part_path, parts_of
+from play_launch.recording.topics import KEY, KIND, PART_METADATA, REPEATED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator
     from pathlib import Path
 
-_MESSAGE: Final = struct.Struct("<BQHIQQ")
-"""Kind, length, channel, sequence number, log time, publish time; the data follows."""
-_MESSAGE_KIND: Final = int(Opcode.MESSAGE)
+    from play_launch.supervisor.events import RunEvent
+
 _FOR_APPLICATIONS: Final = 0x80
 """From here on the meaning of records is up to a program."""
 _DAY: Final = 24 * 3600 * 1_000_000_000
@@ -97,15 +95,13 @@ class Message(Struct, frozen=True, gc=False):
     data: bytes
     channel: int
     """Its number in the file."""
-    offset: int
-    """In the file, in bytes: of its record, or of the chunk that holds it."""
     sequence: int = 0
     ahead_ns: int = 0
     """By how much the system clock was ahead of the session's, as publish time and stamps are."""
 
 
-Take: TypeAlias = "Callable[[Message], object]"
-"""What is called with each message of a topic."""
+Take: TypeAlias = "Callable[[Message], RunEvent | None]"
+"""What is called with each message of a topic; it gives the event that it read."""
 
 
 TakeOf: TypeAlias = "Callable[[RecordedTopic], Take | Runs | None]"
@@ -150,6 +146,8 @@ class BagReader:
     """The names of all."""
     file: str = ""
     """The name of that file, where the recording has several."""
+    offset: int = 0
+    """Where in that file the record begins that is being read."""
     _take_of: TakeOf = field(default=lambda _: None)
     _schemas: dict[int, Schema] = field(default_factory=dict)
     _counted: list[ChannelInfo] = field(default_factory=list)
@@ -234,7 +232,8 @@ class BagReader:
                 self._before = part.number
             except NotARecordingError as error:
                 unreadable.append(error)
-                self._damaged(0, str(error).removeprefix(f"{part.path}: "))
+                self.offset = 0
+                self.damaged(str(error).removeprefix(f"{part.path}: "))
             are_complete.append(self.is_complete)
         if len(unreadable) == len(parts):
             raise unreadable[0]
@@ -265,17 +264,18 @@ class BagReader:
                 raise NotARecordingError(f"{path}: it is not an MCAP file")
             at = len(MAGIC)
             while at < size and not self.is_complete:
+                self.offset = at
                 try:
                     file.seek(at)
                     kind, length = RECORD.unpack(file.read(RECORD.size))
                 except (OSError, struct.error) as error:
                     reason = getattr(error, "strerror", None) or "the file ends within a record"
-                    self._damaged(at, reason)
+                    self.damaged(reason)
                     return
                 end = at + RECORD.size + length
                 if end > size or is_too_long(kind, length) or kind == length == 0:
                     reason = f"the file ends within a record, or its length ({length} bytes) is "
-                    self._damaged(at, f"{reason}wrong; {size - at:,} bytes are not read")
+                    self.damaged(f"{reason}wrong; {size - at:,} bytes are not read")
                     return
                 try:
                     if kind == Opcode.MESSAGE_INDEX:
@@ -286,23 +286,23 @@ class BagReader:
                         )
                         self.is_complete = True
                     elif kind != Opcode.HEADER or at > len(MAGIC):
-                        self._record(kind, read_content(file, kind, length), at)
+                        self._record(kind, read_content(file, kind, length))
                 except (BrokenError, OSError) as error:
                     # A sector that cannot be read costs the record that it is in.
-                    self._damaged(at, getattr(error, "strerror", None) or str(error))
+                    self.damaged(getattr(error, "strerror", None) or str(error))
                     if kind in {Opcode.DATA_END, Opcode.FOOTER}:
                         return
                 finally:
                     yield
                 at = end
 
-    def _record(self, kind: int, content: bytes, at: int) -> None:
+    def _record(self, kind: int, content: bytes) -> None:
         match kind:
             case Opcode.CHUNK:
                 self._has_chunks = True
-                self._data(read_chunk(content), at)
+                self._data(read_chunk(content))
             case Opcode.MESSAGE if not self._has_chunks:  # no writer does both
-                self._data(RECORD.pack(kind, len(content)) + content, at)
+                self._data(RECORD.pack(kind, len(content)) + content)
             case Opcode.SCHEMA | Opcode.CHANNEL:
                 self._describe(kind, content)
             case Opcode.ATTACHMENT:
@@ -320,16 +320,16 @@ class BagReader:
             case _:
                 refuse(kind)
 
-    def _data(self, data: bytes, offset: int) -> None:
+    def _data(self, data: bytes) -> None:
         """Read the records of a chunk, and pass on the messages that are wanted."""
         size = len(data)
         begin = 0
         earliest, ahead_ns = self.begin or sys.maxsize, self.ahead_ns
-        unpack, head, channels = _MESSAGE.unpack_from, _MESSAGE.size, self.channels
+        unpack, head, channels = MESSAGE.unpack_from, MESSAGE.size, self.channels
         skips_repeated = self._skips_repeated
         # An hour of a large system has a million messages: this looks at each once.
         while begin < size:
-            if size - begin < head or data[begin] != _MESSAGE_KIND:
+            if size - begin < head or data[begin] != MESSAGE_KIND:
                 begin = self._other(data, begin)
                 continue
             _, length, number, sequence, log_time, publish_time = unpack(data, begin)
@@ -351,7 +351,8 @@ class BagReader:
             if log_time < earliest:
                 self.begin = earliest = log_time
             if channel.runs is not None:
-                begin = self._run(data, data_at - head, channel.runs)
+                begin, latest = channel.runs.take(data, data_at - head, channels)
+                self.end = max(self.end, latest)
                 continue
             channel.count += 1
             if (take := channel.take) is not None:
@@ -362,30 +363,10 @@ class BagReader:
                         publish_time,
                         data[data_at:end],
                         number,
-                        offset,
                         sequence,
                         ahead_ns,
                     )
                 )
-
-    def _run(self, data: bytes, begin: int, runs: Runs) -> int:
-        """Pass on the messages of equal length that begin there; return where they end."""
-        stride = RECORD.size + RECORD.unpack_from(data, begin)[1]
-        records = equal_records(data, begin)
-        topics = []
-        for number, log_time in struct.Struct(f"<9xH4xQ{stride - 23}x").iter_unpack(records):
-            channel = self.channels.get(number)
-            if channel is None or channel.runs is not runs:
-                break
-            channel.count += 1
-            topics.append(channel.topic)
-            if self.end < log_time <= LATEST:
-                self.end = log_time
-            elif log_time < self.begin:
-                self.begin = log_time
-        size: int = stride * len(topics)
-        runs.take_run(records[:size], stride, topics)
-        return begin + size
 
     def _other(self, data: bytes, begin: int) -> int:
         """Read a record of a chunk that is no whole message; return where the next one begins."""
@@ -395,7 +376,7 @@ class BagReader:
         begin += RECORD.size
         if length > len(data) - begin:
             raise BrokenError("a record reaches beyond its chunk")
-        if kind == _MESSAGE_KIND:
+        if kind == MESSAGE_KIND:
             raise BrokenError("a message is too short")
         self._describe(kind, data[begin : begin + length])
         return int(begin + length)
@@ -429,8 +410,9 @@ class BagReader:
                 # A gigabyte of zeros, which are small in the file, would be as many records.
                 refuse(kind)
 
-    def _damaged(self, at: int, reason: str) -> None:
-        self.note(Damage(at, reason, self.file))
+    def damaged(self, reason: str) -> None:
+        """Note that something in the record that is being read cannot be read."""
+        self.note(Damage(self.offset, reason, self.file))
 
 
 def _parts(path: Path) -> list[PartFile]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.postmortem.frames import Signature  # noqa: TC001 - a field of a Struct
+from play_launch.supervisor.events import MemoryKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -48,7 +49,7 @@ class Deviation(Struct, frozen=True):
     """One number in both sessions."""
 
     measure: Measure
-    who: str
+    name: str
     """Key of the node, or name."""
     before: float
     after: float
@@ -68,8 +69,8 @@ class CrashChange(Struct, frozen=True):
     """How often crashes of one signature happened."""
 
     signature: Signature
-    who: tuple[str, ...]
-    """Who crashed so, in either session."""
+    units: tuple[str, ...]
+    """Those that crashed so, in either session."""
     before: int
     after: int
 
@@ -119,9 +120,9 @@ def compare(first: Timeline, second: Timeline) -> Comparison:
     loaded = before[Measure.BRING_UP].keys() - after[Measure.BRING_UP].keys()
     return Comparison(
         changes=tuple(
-            Deviation(each, who, before[each][who], after[each][who])
+            Deviation(each, name, before[each][name], after[each][name])
             for each in Measure
-            for who in sorted(before[each].keys() & after[each].keys())
+            for name in sorted(before[each].keys() & after[each].keys())
         ),
         new_crashes=tuple(each for each in crashes if each.before == 0),
         gone_crashes=tuple(each for each in crashes if each.after == 0),
@@ -138,13 +139,21 @@ def _numbers(timeline: Timeline) -> dict[Measure, dict[str, float]]:
     """Give the numbers of all units, by their keys; all units that are known have restarts."""
     started, units = timeline.session.started_ns, timeline.units
     known = (each for each in units if each.is_known and not each.is_withdrawn)
+    totals = timeline.samples.totals()
     return {
         Measure.BRING_UP: {
             each.key: (each.loaded_ns - started) / 1e9 for each in units if each.loaded_ns
         },
         Measure.RESTARTS: {each.key: each.restarts for each in known},
-        Measure.PEAK_MEMORY: timeline.samples.peak_memory(),
-        Measure.CPU: timeline.samples.mean_cpu(),
+        # Nodes that share the memory of their container have none of their own.
+        Measure.PEAK_MEMORY: {
+            key: total.peak_memory
+            for key, total in totals.items()
+            if total.latest.memory_kind != MemoryKind.SHARED
+        },
+        Measure.CPU: {
+            key: mean for key, total in totals.items() if (mean := total.mean_cpu) is not None
+        },
     }
 
 
@@ -207,9 +216,10 @@ class CrashGroups:
         """Take the crashes of a session."""
         version = timeline.session.about.get("play_launch_version", "")
         reader = timeline.session.reader
-        for failure in timeline.crashes:
+        for failure in timeline.failures:
             signature = failure.signature
-            assert signature is not None
+            if not failure.is_crash or signature is None:
+                continue
             places = "\n".join(signature.frames)
             builds = (
                 f"{module.name} {module.build_id[:12]}"
@@ -217,7 +227,7 @@ class CrashGroups:
                 if f"({module.name})" in places
             )
             crash = _Crash(
-                failure.who,
+                failure.name,
                 len(failure.times),
                 # Of several sessions only those by a clock that was set are in order.
                 min(failure.times) + reader.ahead_ns,
@@ -238,7 +248,7 @@ class CrashGroups:
 class _Crash(Struct, frozen=True):
     """The crashes of one unit in one session with one signature."""
 
-    who: str
+    name: str
     count: int
     first_ns: int
     last_ns: int
@@ -256,7 +266,7 @@ def _group_of(signature: Signature, crashes: Sequence[_Crash]) -> CrashGroup:
         first_ns=min(one.first_ns for one in crashes),
         last_ns=latest.last_ns,
         sessions=len({one.path for one in crashes}),
-        nodes=tuple(sorted({one.who for one in crashes})),
+        nodes=tuple(sorted({one.name for one in crashes})),
         versions=tuple(sorted({one.version for one in crashes if one.version})),
         builds=tuple(sorted({build for one in crashes for build in one.builds})),
         cause=latest.cause,

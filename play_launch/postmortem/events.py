@@ -33,6 +33,10 @@ _NO_OUTCOME: Final = bytes(32)
 """Cause, sequel, delay and culprit, with what aligns them."""
 
 
+_NO_ENDPOINTS: Final = bytes(11)
+"""The lengths of two sequences, with what aligns them."""
+
+
 class UnreadableEventError(Exception):
     """A message does not hold what its topic promises."""
 
@@ -86,7 +90,8 @@ def _component(message: Message) -> RunEvent:
 
 
 def _graph(message: Message) -> RunEvent:
-    return forms.GRAPH.event(_fields(GRAPH_EVENT, message))
+    # Earlier versions wrote no endpoints: this reads as none.
+    return forms.GRAPH.event(_fields(GRAPH_EVENT, message, _NO_ENDPOINTS))
 
 
 def _action(message: Message) -> RunEvent:

@@ -17,7 +17,7 @@ from play_launch.postmortem.parameters import ParametersOfALife  # noqa: TC001 -
 from play_launch.postmortem.samples import Trend  # noqa: TC001 - as above
 from play_launch.postmortem.source_lines import Module, SourceLine  # noqa: TC001 - as above
 from play_launch.postmortem.units import Downtime  # noqa: TC001 - as above
-from play_launch.recording.session import RESOLVED
+from play_launch.recording.topics import RESOLVED
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -51,7 +51,7 @@ class Finding(Struct, frozen=True, kw_only=True):
     """Whether it is reported as something wrong."""
     says: str
     """Headline: ``{when}`` is the time of the first one with their number, ``{at}`` without."""
-    who: str = ""
+    name: str = ""
     """Name of the node, container or process; empty for the machine."""
     key: str = ""
     times_ns: tuple[int, ...]

@@ -105,15 +105,15 @@ def ending(signal: int, exit_code: int, reason: str) -> str:
     return "unknown exit status" if exit_code == UNKNOWN_STATUS else f"exit status {exit_code}"
 
 
-def signature_of(what: str, frames: Iterable[Frame], who: str) -> Signature:
-    """Make the signature of a crash; ``who`` stands for the place where no frame is known."""
+def signature_of(what: str, frames: Iterable[Frame], name: str) -> Signature:
+    """Make the signature of a crash; ``name`` stands for the place where no frame is known."""
     known = [frame for frame in frames if frame.library]
     chosen = [frame for frame in known if frame.is_own]
     chosen = chosen or [frame for frame in known if not frame.is_runtime] or known
     names = (f"{plain_function(frame.function) or '?'} ({frame.library})" for frame in chosen)
     # Several frames in a row that read the same are a recursion, or a wrapper of a wrapper.
     different = tuple(dict.fromkeys(names))[:_FRAMES]
-    return Signature(what, different or (who,))
+    return Signature(what, different or (name,))
 
 
 def plain_function(name: str) -> str:

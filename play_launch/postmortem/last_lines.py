@@ -5,16 +5,22 @@ An hour of a large system has millions of lines, of which a few dozen are read.
 
 from __future__ import annotations
 
+import heapq
+import math
 from collections import deque
-from typing import TYPE_CHECKING, Final
+from itertools import count
+from operator import itemgetter
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import read_log
+from play_launch.postmortem.records import LATEST, MESSAGE, MESSAGE_KIND, NUMBER_AT, RECORD, Taken
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
-    from play_launch.postmortem.bag_reader import Message
+    from play_launch.postmortem.bag_reader import ChannelInfo
+    from play_launch.postmortem.units import Failure
 
 MOST: Final = 20
 _QOS: Final = b"incompatible QoS"
@@ -22,11 +28,15 @@ _QOS: Final = b"incompatible QoS"
 _MOST_QOS: Final = 1000
 MOST_LOGGERS: Final = 500
 """Of a process, whose lines are kept: names of loggers may have numbers that count up."""
+LATE_LINES: Final = 200_000_000
+"""Nanoseconds that the last lines of a process may take to the recording."""
 _NAME_AT: Final = 20
 """Where the first string stands, behind encapsulation, stamp, level and its length."""
 _LOGGER_WITHIN: Final = 400
 """Bytes from the name on in which a line's logger stands, if anywhere."""
 _LONGEST_LOGGER: Final = 255
+_Line: TypeAlias = "tuple[int, bytes]"
+"""Log time and message."""
 
 
 class LastLines:
@@ -34,35 +44,78 @@ class LastLines:
 
     def __init__(self) -> None:
         """Begin without lines."""
-        self._rings: dict[bytes, dict[bytes, deque[Message]]] = {}
-        self._qos: list[Message] = []
+        self._rings: dict[bytes, dict[bytes, deque[_Line]]] = {}
+        self._qos: list[_Line] = []
+        self._waiting: list[tuple[int, int, Failure]] = []
+        """Failures whose last lines may still come, and until when."""
+        self._order = count()
 
-    def take(self, message: Message) -> None:
-        """Keep a message of the output topic; one that is damaged is left out."""
-        data = message.data
-        end = data.find(0, _NAME_AT)
-        if end < 0:
-            return
-        # ``[INFO] [time] [logger]: text``; a regular expression takes twice as long.
-        stop = data.find(b"]: ", end, end + _LOGGER_WITHIN)
-        begin = data.rfind(b"] [", end, stop) + 3 if stop > 0 else 0
-        logger = data[begin:stop] if begin > 3 and stop - begin <= _LONGEST_LOGGER else b""
-        name = data[_NAME_AT:end]
-        rings = self._rings.get(name)
-        if rings is None:
-            rings = self._rings[name] = {}
-        ring = rings.get(logger)
-        if ring is None:
-            if len(rings) >= MOST_LOGGERS:
-                _forget_quiet(rings)
-            ring = rings[logger] = deque(maxlen=MOST)
-        ring.append(message)
-        if _QOS in data and len(self._qos) < _MOST_QOS:
-            self._qos.append(message)
+    def take(self, data: bytes, begin: int, channels: Mapping[int, ChannelInfo]) -> Taken:
+        """Take the lines of a chunk that begin there; one that is damaged is left out."""
+        number = data[begin + NUMBER_AT : begin + NUMBER_AT + 2]
+        count, at, latest, size, head = 0, begin, 0, len(data), MESSAGE.size
+        unpack, find, rfind = MESSAGE.unpack_from, data.find, data.rfind
+        has_qos, waiting, rings = _QOS in data, self._waiting, self._rings
+        # Without further calls: these are a third of the messages of a long session.
+        while (
+            size - at > head
+            and data[at] == MESSAGE_KIND
+            and data.startswith(number, at + NUMBER_AT)
+        ):
+            _, length, _, _, log_time, _ = unpack(data, at)
+            text_at, end = at + head, at + RECORD.size + length
+            if not text_at <= end <= size:
+                break
+            count, at = count + 1, end
+            if latest < log_time <= LATEST:
+                latest = log_time
+            if waiting and waiting[0][0] < log_time:
+                self._answer(log_time)
+            name_at = text_at + _NAME_AT
+            name_end = find(0, name_at, end)
+            if name_end < 0:
+                continue
+            # ``[INFO] [time] [logger]: text``; a regular expression takes twice as long.
+            stop = find(b"]: ", name_end, min(end, name_end + _LOGGER_WITHIN))
+            logger_at = rfind(b"] [", name_end, stop) + 3 if stop > 0 else 0
+            is_logger = logger_at > 3 and stop - logger_at <= _LONGEST_LOGGER
+            name, logger = data[name_at:name_end], data[logger_at:stop] if is_logger else b""
+            line = log_time, data[text_at:end]
+            try:
+                rings[name][logger].append(line)
+            except KeyError:
+                self._new_ring(name, logger).append(line)
+            if has_qos and _QOS in line[1] and len(self._qos) < _MOST_QOS:
+                self._qos.append(line)
+        channels[int.from_bytes(number, "little")].count += count
+        return Taken(at, latest)
+
+    def _new_ring(self, name: bytes, logger: bytes) -> deque[_Line]:
+        """Begin a ring."""
+        rings = self._rings.setdefault(name, {})
+        if len(rings) >= MOST_LOGGERS:
+            _forget_quiet(rings)
+        return rings.setdefault(logger, deque(maxlen=MOST))
+
+    def request(self, failure: Failure) -> None:
+        """Give a failure its last lines as soon as all have come."""
+        until = failure.log_time + LATE_LINES
+        heapq.heappush(self._waiting, (until, next(self._order), failure))
+
+    def end(self) -> None:
+        """Give all failures their last lines: none comes any more."""
+        self._answer(math.inf)
+
+    def _answer(self, before: float) -> None:
+        while self._waiting and self._waiting[0][0] < before:
+            until, _, failure = heapq.heappop(self._waiting)
+            if failure.container:  # when a node is loaded again, other lines follow
+                until = min(until, failure.back_at or until)
+            failure.last_lines = self.of(failure.container, failure.name, until)
 
     def qos_reports(self) -> Iterator[tuple[int, str]]:
         """Give the warnings about incompatible QoS, each with its log time."""
-        return ((message.log_time, _text(message.data)) for message in self._qos)
+        return ((log_time, _text(data)) for log_time, data in self._qos)
 
     def of(self, container: str, name: str, until_ns: int) -> tuple[str, ...]:
         """Give the latest lines of a unit up to a moment; ``container`` is empty but for nodes.
@@ -76,15 +129,15 @@ class LastLines:
             for logger, ring in rings.items()
             if not (container and logger) or logger == own or logger.startswith(own + b".")
             for line in ring
-            if line.log_time <= until_ns
+            if line[0] <= until_ns
         ]
-        lines.sort(key=lambda line: line.log_time)
-        return tuple(filter(None, (_text(line.data) for line in lines[-MOST:])))
+        lines.sort(key=itemgetter(0))
+        return tuple(filter(None, (_text(data) for _, data in lines[-MOST:])))
 
 
-def _forget_quiet(rings: dict[bytes, deque[Message]]) -> None:
+def _forget_quiet(rings: dict[bytes, deque[_Line]]) -> None:
     """Drop the half of the loggers that have not written for longest."""
-    for logger in sorted(rings, key=lambda each: rings[each][-1].log_time)[: len(rings) // 2]:
+    for logger in sorted(rings, key=lambda each: rings[each][-1][0])[: len(rings) // 2]:
         del rings[logger]
 
 

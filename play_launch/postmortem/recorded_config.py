@@ -19,7 +19,8 @@ from play_launch.config.source import MCAP_MESSAGE, Refused, read_bytes
 from play_launch.config.substitutions import Inputs, share_folder
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
 from play_launch.recording.resolved_form import kept
-from play_launch.recording.session import INCLUDED, METADATA_NAME, PARAMETERS, RESOLVED
+from play_launch.recording.session import INCLUDED, PARAMETERS
+from play_launch.recording.topics import METADATA_NAME, RESOLVED
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -6,22 +6,24 @@ import functools
 import re
 import struct
 import zlib
-from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping  # noqa: TC003 - fields of a Struct
 from io import BytesIO
-from typing import IO, TYPE_CHECKING, Any, Final, NoReturn
+from itertools import takewhile
+from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment
+from msgspec import Struct
 
-from play_launch.recording.mcap_file import MAGIC
+from play_launch.recording.folder import MAGIC
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Collection
 
     import zstandard
 
-    from play_launch.postmortem.bag_reader import RecordedTopic
+    from play_launch.postmortem.bag_reader import ChannelInfo
 
 _LIMITS: Final[dict[int, int]] = {
     Opcode.CHUNK: 1 << 30,
@@ -39,6 +41,12 @@ RECORD: Final = struct.Struct("<BQ")
 """Kind and length of the content."""
 _INDEX: Final = struct.Struct("<BQHI")
 """A message index: channel and length of the entries, which follow."""
+MESSAGE: Final = struct.Struct("<BQHIQQ")
+"""Kind, length, channel, sequence number, log time, publish time; the data follows."""
+MESSAGE_KIND: Final = int(Opcode.MESSAGE)
+NUMBER_AT: Final = RECORD.size
+"""Where the number of the channel stands in a message."""
+_MOST_SEQUENCES: Final = 1000
 LATEST: Final = (1 << 63) - 1
 """Nanoseconds since the epoch: later times are damage."""
 _WINDOW: Final = 1 << 13
@@ -57,12 +65,83 @@ class BrokenError(Exception):
     """A record is not what it should be."""
 
 
-class Runs(ABC):
-    """Takes messages of equal length many at once: of a long recording most are samples."""
+class Taken(NamedTuple):
+    """What was taken of a chunk."""
 
-    @abstractmethod
-    def take_run(self, records: bytes, stride: int, topics: list[RecordedTopic]) -> None:
-        """Take records as they stand in the file, each of ``stride`` bytes, with their topics."""
+    end: int
+    """Where the next record begins."""
+    latest: int
+    """The latest log time."""
+
+
+class Runs(Struct, frozen=True):
+    """Takes messages many at once: of a long recording most are samples and lines of output."""
+
+    take: Callable[[bytes, int, Mapping[int, ChannelInfo]], Taken]
+    """Takes those that begin at a place of a chunk, the first of which is whole, and counts them
+    for their channels."""
+
+
+class ChannelSequence(Struct, frozen=True, eq=False):
+    """Channels of messages of equal length behind each other, as they occur again and again."""
+
+    channels: tuple[ChannelInfo, ...]
+    stride: int
+    """Bytes of each record."""
+    times: struct.Struct
+    """Unpacks their log times."""
+
+
+class EqualMessages(NamedTuple):
+    """Messages of equal length behind each other."""
+
+    records: bytes
+    sequence: ChannelSequence
+    latest: int
+    """The latest log time."""
+
+
+class EqualReader:
+    """Reads messages of equal length."""
+
+    def __init__(self) -> None:
+        self._channels: Mapping[int, ChannelInfo] = {}
+        """Of the file that is read."""
+        self._known: dict[tuple[int, bytes], ChannelSequence] = {}
+        """By length, and the numbers of their channels."""
+
+    def read(self, data: bytes, begin: int, channels: Mapping[int, ChannelInfo]) -> EqualMessages:
+        """Read those that begin there, and count them for their channels."""
+        if channels is not self._channels or len(self._known) > _MOST_SEQUENCES:
+            self._channels, self._known = channels, {}
+        stride = RECORD.size + RECORD.unpack_from(data, begin)[1]
+        records = equal_records(data, begin)
+        numbers = records[NUMBER_AT::stride] + records[NUMBER_AT + 1 :: stride]
+        found = self._known.get((stride, numbers))
+        if found is None:
+            found = _sequence(records, stride, channels)
+            records = records[: stride * len(found.channels)]
+            if len(found.channels) * 2 == len(numbers):
+                self._known[stride, numbers] = found
+        for channel in found.channels:
+            channel.count += 1
+        times = found.times.unpack(records)
+        latest = max(times)
+        if latest > LATEST:
+            latest = max((each for each in times if each <= LATEST), default=0)
+        return EqualMessages(records, found, latest)
+
+
+def _sequence(records: bytes, stride: int, channels: Mapping[int, ChannelInfo]) -> ChannelSequence:
+    """Give the channels of the first records that are taken by the same."""
+    numbers = struct.Struct(f"<{NUMBER_AT}xH{stride - NUMBER_AT - 2}x").iter_unpack(records)
+    known = map(channels.get, (number for (number,) in numbers))
+    first = next(known)
+    assert first is not None
+    same = takewhile(lambda each: each is not None and each.runs == first.runs, known)
+    found = (first, *filter(None, same))
+    times = struct.Struct("<" + f"15xQ{stride - MESSAGE.size + 8}x" * len(found))
+    return ChannelSequence(found, stride, times)
 
 
 def refuse(kind: int) -> NoReturn:

@@ -23,7 +23,8 @@ from play_launch.recording.folder import (
     parts_of,
     write_index,
 )
-from play_launch.recording.session import METADATA_NAME, ROS_DISTRO
+from play_launch.recording.session import ROS_DISTRO
+from play_launch.recording.topics import METADATA_NAME
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -162,7 +163,7 @@ def _copy(path: Path, file: IO[bytes]) -> tuple[BagReader, int, int]:
             number, message.log_time, message.data, message.publish_time, message.sequence
         )
         count += 1
-        last_offset = message.offset
+        last_offset = reader.offset
     copy_head()
     writer.finish()  # type: ignore[no-untyped-call]
     return reader, count, last_offset

@@ -1,4 +1,4 @@
-"""What units and the machine used: growth before a failure, leaks, starvation.
+"""What units and the machine used: growth before a failure, busy times, totals.
 
 Samples are kept as they were recorded; of hundreds of thousands, a few are read.
 """
@@ -6,30 +6,29 @@ Samples are kept as they were recorded; of hundreds of thousands, a few are read
 from __future__ import annotations
 
 import math
-from array import array
 from bisect import bisect_left, bisect_right
 from enum import StrEnum
 from struct import Struct as Fixed
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from msgspec import Struct
+from msgspec import Struct, field
 
-from play_launch.config.durations import duration
 from play_launch.config.node_key import NodeKey
+from play_launch.config.text import duration
 from play_launch.container.cdr.messages import read_machine
-from play_launch.postmortem.records import LATEST, Runs
+from play_launch.postmortem.records import LATEST, EqualReader, Taken
 from play_launch.supervisor.events import MemoryKind
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator, Mapping
 
-    from play_launch.postmortem.bag_reader import Message, RecordedTopic
+    from play_launch.postmortem.bag_reader import ChannelInfo, Message
+    from play_launch.postmortem.records import ChannelSequence, EqualMessages
 
 _SECOND: Final = 1_000_000_000
-_FIXED: Final = Fixed("<4xiIi4xQddQB3xII4xQQQQ")
-"""A ProcessStats: all of its fields have a fixed place."""
-_RECORD: Final = Fixed(f"<15xQ8x{_FIXED.size}s")
-"""The record of one: log time and fields."""
+_RECORD: Final = Fixed("<15xQ8x 12x i 12x ddQ B3x II 28x Q")
+"""Log time and fields of a ProcessStats, all of which have a fixed place."""
+_TIME: Final = Fixed("<15xQ")
 _MB: Final = 1_000_000
 
 
@@ -52,7 +51,7 @@ class Quantity(StrEnum):
 class Trend(Struct, frozen=True):
     """How a number went; times are nanoseconds since the epoch."""
 
-    who: str
+    name: str
     """Name of the node, container or process; empty for the machine."""
     quantity: Quantity
     before: float
@@ -101,17 +100,13 @@ GROWN: Final = {
     Quantity.DESCRIPTORS: Growth(2.0, 50),
 }
 """Before a failure."""
-LEAKS: Final = {
-    Quantity.MEMORY: Growth(2.0, 128 * _MB),
-    Quantity.THREADS: Growth(4.0, 100),
-    Quantity.DESCRIPTORS: Growth(4.0, 200),
-}
-"""Without one."""
 MOST_SAMPLES: Final = 4000
-"""Of one thing, that are kept: more than an hour at one a second."""
+"""Of each unit, that are kept: more than an hour at one a second."""
 _RECENT: Final = MOST_SAMPLES // 4
 """The latest ones, which are all kept; those before are thinned to as many, evenly in time."""
-_LEAK_SAMPLES: Final = 30
+_TOGETHER: Final = 100_000_000
+"""Nanoseconds in which all units are sampled."""
+_MOST_SHAPES: Final = 1000
 _LITTLE_MEMORY: Final = 0.05
 """Of all memory."""
 LITTLE_DISK: Final = 64 * _MB
@@ -120,26 +115,19 @@ _BUSY_PRESSURE: Final = 40.0
 _BUSY: Final = 95.0
 """Percent of all cores, where the kernel does not know the former."""
 _BUSY_SAMPLES: Final = 3
-_MOST_STARVATIONS: Final = 1000
+_MOST_BUSY_TIMES: Final = 1000
 """Of more, the first ones say the same."""
-_HOG: Final = 40.0
-"""Percent of one core: two that want the same one get half of it each."""
-_PREEMPTED: Final = 10.0
-"""Involuntary context switches per second of a starved unit, at least."""
-_MOST_HIT: Final = 3
+_FIELDS: Final = {
+    Quantity.MEMORY: "memory",
+    Quantity.THREADS: "threads",
+    Quantity.DESCRIPTORS: "descriptors",
+}
 
 
-class Starvation(NamedTuple):
-    """A time in which a unit used a core that others waited for."""
+class Sample(NamedTuple):
+    """What a process used."""
 
-    key: str
-    hit: tuple[str, ...]
-    """Names."""
-    trends: tuple[Trend, ...]
-    begin_ns: int
-
-
-class _Sample(NamedTuple):
+    log_time: int
     pid: int
     cpu_percent: float
     cpu_seconds: float
@@ -150,239 +138,53 @@ class _Sample(NamedTuple):
     involuntary: int
 
 
-class _Series:
-    """The samples of one thing, in the order of time."""
+class _Tick(NamedTuple):
+    """Samples of several units at one moment, as they stand in the file."""
 
-    __slots__ = ("_counted", "_latest", "_peak", "_used", "data", "times")
+    time: int
+    records: bytes
+    offsets: Mapping[str, int]
+    """By the keys of the units."""
 
-    def __init__(self) -> None:
-        self.times = array("q")
-        self.data = bytearray()
-        self._counted = 0
-        """How many of the first samples are in the peak and the CPU time already."""
-        self._peak = self._used = 0.0
-        self._latest = (0, 0.0)
-        """Process and CPU time of the latest one that is counted."""
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def take(self, message: Message) -> None:
-        """Keep a sample; of a long session, fewer of each hour."""
-        if len(message.data) < _FIXED.size:
-            return
-        self.times.append(message.log_time)
-        self.data += message.data[: _FIXED.size]
-        self.thin()
-
-    def at(self, index: int) -> _Sample:
-        _, _, pid, _, percent, seconds, memory, kind, threads, descriptors, _, _, _, lost = (
-            _FIXED.unpack_from(self.data, index * _FIXED.size)
-        )
-        return _Sample(pid, percent, seconds, memory, kind, threads, descriptors, lost)
-
-    def peak_memory(self) -> float:
-        """Give the most bytes that it had."""
-        self._count()
-        return self._peak
-
-    def mean_cpu(self) -> float:
-        """Give the percentage of a core that it used; negative where nothing can be said."""
-        self._count()
-        seconds = (self.times[-1] - self.times[0]) / _SECOND
-        return 100 * self._used / seconds if seconds > 0 else -1.0
-
-    def _count(self) -> None:
-        for index in range(self._counted, len(self)):
-            sample, (pid, before) = self.at(index), self._latest
-            # What a process used before its first sample is not of this time.
-            self._used += sample.cpu_seconds - before if sample.pid == pid else 0.0
-            self._latest = sample.pid, sample.cpu_seconds
-            self._peak = max(self._peak, sample.memory)
-        self._counted = len(self)
-
-    def thin(self) -> None:
-        """Keep fewer samples, if there are too many."""
-        if len(self.times) <= MOST_SAMPLES:
-            return
-        self._count()
-        recent, gap = len(self) - _RECENT, (self.times[-1] - self.times[0]) // _RECENT
-        kept, next_at = [], self.times[0]
-        for index in range(recent):
-            if self.times[index] >= next_at:
-                kept.append(index)
-                next_at = self.times[index] + gap
-        kept += range(recent, len(self))
-        size = _FIXED.size
-        self.times = array("q", [self.times[index] for index in kept])
-        self.data = bytearray().join(self.data[index * size : (index + 1) * size] for index in kept)
-        self._counted = len(self)
-
-    def life(self, pid: int, until_ns: int) -> tuple[int, int] | None:
-        """Give the first and the last index of a process up to a moment."""
-        last = bisect_right(self.times, until_ns) - 1
-        while last >= 0 and pid and self.at(last).pid != pid:
-            last -= 1
-            if until_ns - self.times[max(last, 0)] > 60 * _SECOND:
-                return None
-        if last < 0:
-            return None
-        begin, end, found = 0, last, self.at(last)
-        # Processes follow one another: those of earlier ones come first.
-        while begin < end:
-            middle = (begin + end) // 2
-            if self.at(middle).pid == found.pid:
-                end = middle
-            else:
-                begin = middle + 1
-        return begin, last
+    def of(self, key: str) -> Sample:
+        return Sample._make(_RECORD.unpack_from(self.records, self.offsets[key]))
 
 
-class Samples(Runs):
-    """Takes the samples of a recording, and answers questions about them at its end."""
+class _Shape(NamedTuple):
+    """Part of a run that has each unit at most once."""
 
-    def __init__(self) -> None:
-        """Begin without samples."""
-        self._series: dict[str, _Series] = {}
-        self._system: list[tuple[int, bytes]] = []
-        """The first sample of the machine, and the latest."""
-        self._busy = _BusyTime()
-        self._starvations: list[Starvation] = []
-
-    def of(self, key: str) -> Callable[[Message], None]:
-        """Give what keeps the samples of a process."""
-        return self._series.setdefault(key, _Series()).take
-
-    def take_run(self, records: bytes, stride: int, topics: list[RecordedTopic]) -> None:
-        """Take samples of processes as they stand in the file."""
-        if stride < _RECORD.size:
-            return
-        each = Fixed(f"{_RECORD.format}{stride - _RECORD.size}x").iter_unpack(records)
-        for topic, (log_time, data) in zip(topics, each, strict=True):
-            one = self._series[topic.key]
-            try:
-                one.times.append(log_time)
-            except OverflowError:
-                one.times.append(LATEST)
-            one.data += data
-        for topic in topics:
-            self._series[topic.key].thin()
-
-    def take_system(self, message: Message) -> None:
-        """Take one of the machine."""
-        if not self._busy.take(message.log_time, read_machine(message.data)):
-            # Now, as the samples of this time may be thinned later.
-            self._starvations += self._starvation()
-            self._busy = _BusyTime()
-        self._system[1:] = [(message.log_time, message.data)]
-
-    def before(self, key: str, who: str, pid: int, until_ns: int) -> tuple[Trend, ...]:
-        """Give what grew in a process up to a moment, and what the machine ran out of by now."""
-        series = self._series.get(key)
-        life = series.life(pid, until_ns) if series else None
-        grown = tuple(_grown(series, *life, who, GROWN)) if series and life else ()
-        return (*grown, *self._shortage())
-
-    def peak_memory(self) -> dict[str, float]:
-        """Give the most bytes that each had, by key; without nodes that share their container's."""
-        return {
-            key: series.peak_memory()
-            for key, series in self._with_samples()
-            if series.at(len(series) - 1).memory_kind != MemoryKind.SHARED
-        }
-
-    def used(self) -> dict[str, _Sample]:
-        """Give the latest sample of each, by key."""
-        return {key: series.at(len(series) - 1) for key, series in self._with_samples()}
-
-    def mean_cpu(self) -> dict[str, float]:
-        """Give the percentage of a core that each used, by key: CPU time by time."""
-        return {
-            key: mean for key, series in self._with_samples() if (mean := series.mean_cpu()) >= 0
-        }
-
-    def _with_samples(self) -> Iterator[tuple[str, _Series]]:
-        return ((key, series) for key, series in self._series.items() if len(series))
-
-    def leaks(self) -> Iterator[tuple[str, Trend]]:
-        """Give what grew in those that live at the end, with their keys."""
-        for key, series in self._with_samples():
-            life = series.life(0, series.times[-1])
-            if life is None or life[1] - life[0] < _LEAK_SAMPLES:
-                continue
-            begin, last = life
-            first, lasted = series.times[begin], series.times[last] - series.times[begin]
-            # What a node takes while it starts is no leak.
-            begin = bisect_left(series.times, first + lasted // 10)
-            middle = bisect_left(series.times, first + lasted * 11 // 20)
-            rising = {each.quantity for each in _grown(series, middle, last, "", _RISE)}
-            for trend in _grown(series, begin, last, name_of(key), LEAKS):
-                if trend.quantity in rising:
-                    yield key, trend
-
-    def starvations(self) -> list[Starvation]:
-        """Give the units that used a core while others waited, for each busy time."""
-        return [*self._starvations, *self._starvation()][:_MOST_STARVATIONS]
-
-    def _starvation(self) -> Iterator[Starvation]:
-        """Judge the busy time that is over."""
-        begin_ns, end_ns = self._busy.begin_ns, self._busy.end_ns
-        if self._busy.samples < _BUSY_SAMPLES or len(self._starvations) >= _MOST_STARVATIONS:
-            return
-        rates = sorted(self._rates(begin_ns, end_ns), key=lambda rate: -rate.cpu)
-        if not rates or rates[0].cpu < _HOG:
-            return
-        hog, others = rates[0], rates[1:]
-        hit = [one for one in others if one.lost >= _PREEMPTED]
-        hit = sorted(hit, key=lambda one: -one.lost)[:_MOST_HIT]
-        if hit:
-            trends = [
-                Trend(name_of(key), quantity, 0.0, value, begin_ns, end_ns)
-                for key, quantity, value in (
-                    (hog.key, Quantity.PROCESSOR, hog.cpu),
-                    *((one.key, Quantity.WAITING, one.lost) for one in hit),
-                    ("", Quantity.PRESSURE, self._busy.pressure),
-                )
-            ]
-            yield Starvation(
-                hog.key, tuple(name_of(one.key) for one in hit), tuple(trends), begin_ns
-            )
-
-    def disk_free_at_the_end(self) -> Trend | None:
-        """Give how the free space on the disk of the recording went; None if not measured."""
-        return self._of_machine("disk_free", Quantity.FREE_DISK)
-
-    def _shortage(self) -> Iterator[Trend]:
-        memory = self._of_machine("memory_available", Quantity.FREE_MEMORY)
-        total = self._of_machine("memory_total", Quantity.FREE_MEMORY)
-        if memory and total and memory.after < total.after * _LITTLE_MEMORY:
-            yield memory
-        disk = self.disk_free_at_the_end()
-        if disk and disk.after < LITTLE_DISK:
-            yield disk
-
-    def _of_machine(self, field: str, quantity: Quantity) -> Trend | None:
-        samples = [read_machine(data) for _, data in self._system]
-        if not samples or samples[0] is None or samples[-1] is None:
-            return None
-        before, after = float(samples[0][field]), float(samples[-1][field])
-        return Trend("", quantity, before, after, self._system[0][0], self._system[-1][0])
-
-    def _rates(self, begin_ns: int, end_ns: int) -> Iterator[_Rate]:
-        for key, series in self._series.items():
-            first = bisect_left(series.times, begin_ns)
-            last = bisect_right(series.times, end_ns) - 1
-            if last <= first:
-                continue
-            old, new = series.at(first), series.at(last)
-            seconds = (series.times[last] - series.times[first]) / _SECOND
-            if old.pid != new.pid or seconds <= 0:
-                continue
-            cpu = 100 * (new.cpu_seconds - old.cpu_seconds) / seconds
-            yield _Rate(key, cpu, (new.involuntary - old.involuntary) / seconds)
+    begin: int
+    end: int
+    offsets: dict[str, int]
 
 
-class _BusyTime(Struct):
+class Total(Struct):
+    """What a unit used in the whole session."""
+
+    begin_ns: int
+    latest: Sample
+    peak_memory: int
+    cpu_seconds: float = 0.0
+    """What a process used before its first sample is not of this time."""
+
+    @property
+    def mean_cpu(self) -> float | None:
+        """The percentage of a core that it used; None where nothing can be said."""
+        lasted = self.latest.log_time - self.begin_ns
+        return 100 * self.cpu_seconds * _SECOND / lasted if lasted > 0 else None
+
+
+class Rate(NamedTuple):
+    """What a unit used per second."""
+
+    key: str
+    cpu: float
+    """Percent of one core."""
+    preempted: float
+    """How often it lost its core to others, although it had work."""
+
+
+class BusyTime(Struct):
     """A time in which the machine is busy."""
 
     begin_ns: int = 0
@@ -390,6 +192,7 @@ class _BusyTime(Struct):
     samples: int = 0
     pressure: float = 0.0
     """The highest."""
+    rates: list[Rate] = field(default_factory=list)
 
     def take(self, log_time: int, sample: dict[str, Any] | None) -> bool:
         """Take a sample of the machine; return whether it belongs to this time."""
@@ -406,38 +209,184 @@ def _is_busy(pressure: float, percent: float) -> bool:
     return percent >= _BUSY if math.isnan(pressure) else pressure >= _BUSY_PRESSURE
 
 
-class _Rate(NamedTuple):
-    key: str
-    cpu: float
-    """Percent of one core."""
-    lost: float
-    """Times per second."""
+class Samples:
+    """Keeps the samples of a recording, and answers questions about them."""
+
+    def __init__(self) -> None:
+        """Begin without samples."""
+        self._reader = EqualReader()
+        self._ticks: list[_Tick] = []
+        self._shapes: dict[ChannelSequence, list[_Shape]] = {}
+        self._totals: dict[str, Total] = {}
+        self._counted = 0
+        """How many of the first ticks are in the totals already."""
+        self._machine: list[tuple[int, dict[str, Any]]] = []
+        """The first sample of the machine, and the latest."""
+        self._busy = BusyTime()
+        self._busy_times: list[BusyTime] = []
+
+    def take(self, data: bytes, begin: int, channels: Mapping[int, ChannelInfo]) -> Taken:
+        """Take the samples of processes that begin there."""
+        found = self._reader.read(data, begin, channels)
+        self.add(found)
+        return Taken(begin + len(found.records), found.latest)
+
+    def add(self, found: EqualMessages) -> None:
+        """Take samples of processes."""
+        records, sequence, _ = found
+        if sequence.stride < _RECORD.size:
+            return
+        shapes = self._shapes.get(sequence)
+        if shapes is None:
+            if len(self._shapes) >= _MOST_SHAPES:
+                self._shapes.clear()
+            shapes = self._shapes[sequence] = _shapes(sequence)
+        for begin, end, offsets in shapes:
+            part = records[begin:end]
+            (log_time,) = _TIME.unpack_from(part)
+            self._ticks.append(_Tick(log_time, part, offsets))
+        if len(self._ticks) > MOST_SAMPLES:
+            self._thin()
+
+    def take_system(self, message: Message) -> None:
+        """Take a sample of the machine."""
+        sample = read_machine(message.data)
+        if sample is not None:
+            self._machine[1:] = [(message.log_time, sample)]
+        if not self._busy.take(message.log_time, sample):
+            # Now, as the samples of this time may be thinned later.
+            self._end_busy_time()
+
+    def busy_times(self) -> list[BusyTime]:
+        """Give the times in which the machine was busy, with what each unit used."""
+        self._end_busy_time()
+        return self._busy_times
+
+    def before(self, key: str, name: str, pid: int, until_ns: int) -> tuple[Trend, ...]:
+        """Give what grew in a process up to a moment, and what the machine ran out of by now."""
+        life = self.life(key, until_ns, pid)
+        return (
+            *(grown(life[0].of(key), life[-1].of(key), name, GROWN) if life else ()),
+            *self._shortage(),
+        )
+
+    def totals(self) -> dict[str, Total]:
+        """Give what each unit used, by its key."""
+        totals = self._totals
+        for tick in self._ticks[self._counted :]:
+            for key in tick.offsets:
+                sample = tick.of(key)
+                total = totals.get(key)
+                if total is None:
+                    totals[key] = Total(sample.log_time, sample, sample.memory)
+                    continue
+                if sample.pid == total.latest.pid:
+                    total.cpu_seconds += sample.cpu_seconds - total.latest.cpu_seconds
+                total.latest, total.peak_memory = sample, max(total.peak_memory, sample.memory)
+        self._counted = len(self._ticks)
+        return totals
+
+    def units(self) -> list[str]:
+        """Give the keys of all units that have samples."""
+        found: dict[str, int] = {}
+        for tick in self._ticks:
+            found |= tick.offsets
+        return list(found)
+
+    def life(self, key: str, until_ns: int = LATEST, pid: int = 0) -> list[_Tick]:
+        """Give the samples of one process up to a moment; 0 is the one that lived then."""
+        ticks = [tick for tick in self._ticks if key in tick.offsets]
+        del ticks[bisect_right(ticks, until_ns, key=_time_of) :]
+        while ticks and pid and ticks[-1].of(key).pid != pid:
+            if until_ns - ticks.pop().time > 60 * _SECOND:
+                return []
+        if not ticks:
+            return []
+        found = ticks[-1].of(key).pid
+        # Processes follow one another: those of earlier ones come first.
+        return ticks[bisect_left(ticks, True, key=lambda tick: tick.of(key).pid == found) :]
+
+    def disk_free_at_the_end(self) -> Trend | None:
+        """Give how the free space on the disk of the recording went; None if not measured."""
+        return self._of_machine("disk_free", Quantity.FREE_DISK)
+
+    def _thin(self) -> None:
+        self.totals()
+        ticks, recent = self._ticks, self._ticks[-_RECENT:]
+        gap = (ticks[-1].time - ticks[0].time) // _RECENT
+        kept, begun = [], ticks[0].time - gap
+        for tick in ticks[:-_RECENT]:
+            if tick.time - begun >= gap:
+                begun = tick.time
+            # The end of a chunk may divide the samples of one moment.
+            if tick.time - begun <= min(_TOGETHER, gap // 4):
+                kept.append(tick)
+        self._ticks = [*kept, *recent]
+        self._counted = len(self._ticks)
+
+    def _end_busy_time(self) -> None:
+        busy, self._busy = self._busy, BusyTime()
+        if busy.samples >= _BUSY_SAMPLES and len(self._busy_times) < _MOST_BUSY_TIMES:
+            busy.rates = list(self._rates(busy.begin_ns, busy.end_ns))
+            self._busy_times.append(busy)
+
+    def _rates(self, begin_ns: int, end_ns: int) -> Iterator[Rate]:
+        begin = bisect_left(self._ticks, begin_ns, key=_time_of)
+        ticks = self._ticks[begin : bisect_right(self._ticks, end_ns, key=_time_of)]
+        first: dict[str, _Tick] = {}
+        last: dict[str, _Tick] = {}
+        for tick, earlier in zip(ticks, reversed(ticks), strict=True):
+            last.update(dict.fromkeys(tick.offsets, tick))
+            first.update(dict.fromkeys(earlier.offsets, earlier))
+        for key, tick in last.items():
+            old, new = first[key].of(key), tick.of(key)
+            seconds = (new.log_time - old.log_time) / _SECOND
+            if old.pid == new.pid and seconds > 0:
+                cpu = 100 * (new.cpu_seconds - old.cpu_seconds) / seconds
+                yield Rate(key, cpu, (new.involuntary - old.involuntary) / seconds)
+
+    def _shortage(self) -> Iterator[Trend]:
+        memory = self._of_machine("memory_available", Quantity.FREE_MEMORY)
+        total = self._of_machine("memory_total", Quantity.FREE_MEMORY)
+        if memory and total and memory.after < total.after * _LITTLE_MEMORY:
+            yield memory
+        disk = self.disk_free_at_the_end()
+        if disk and disk.after < LITTLE_DISK:
+            yield disk
+
+    def _of_machine(self, name: str, quantity: Quantity) -> Trend | None:
+        if not self._machine:
+            return None
+        (begin_ns, old), (end_ns, new) = self._machine[0], self._machine[-1]
+        return Trend("", quantity, float(old[name]), float(new[name]), begin_ns, end_ns)
 
 
-_RISE: Final = dict.fromkeys(LEAKS, Growth(1.1, 1))
+def _time_of(tick: _Tick) -> int:
+    return tick.time
 
 
-def _grown(
-    series: _Series, begin: int, last: int, who: str, limits: dict[Quantity, Growth]
+def _shapes(sequence: ChannelSequence) -> list[_Shape]:
+    """Divide a run where a unit occurs again."""
+    found, offsets, begin = [], dict[str, int](), 0
+    for number, channel in enumerate(sequence.channels):
+        key, at = channel.topic.key, number * sequence.stride
+        if key in offsets:
+            found.append(_Shape(begin, at, offsets))
+            offsets, begin = {}, at
+        offsets[key] = at - begin
+    return [*found, _Shape(begin, sequence.stride * len(sequence.channels), offsets)]
+
+
+def grown(
+    old: Sample, new: Sample, name: str, limits: Mapping[Quantity, Growth]
 ) -> Iterator[Trend]:
-    old, new = series.at(begin), series.at(last)
-    if begin == last:
+    """Give the quantities that grew beyond their limits."""
+    if old.log_time == new.log_time:
         return
-    times = (series.times[begin], series.times[last])
     for quantity, growth in limits.items():
         # A container's figure tells nothing about a node.
         if quantity is Quantity.MEMORY and new.memory_kind == MemoryKind.SHARED:
             continue
-        before, after = _value(old, quantity), _value(new, quantity)
+        before, after = (getattr(each, _FIELDS[quantity]) for each in (old, new))
         if after >= before * growth.factor and after - before >= growth.least:
-            yield Trend(who, quantity, before, after, *times)
-
-
-def _value(sample: _Sample, quantity: Quantity) -> float:
-    match quantity:
-        case Quantity.MEMORY:
-            return sample.memory
-        case Quantity.THREADS:
-            return sample.threads
-        case _:
-            return sample.descriptors
+            yield Trend(name, quantity, before, after, old.log_time, new.log_time)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from play_launch.postmortem.bag_reader import BagReader, Damage
+from play_launch.postmortem.bag_reader import BagReader
 from play_launch.postmortem.events import UnreadableEventError, event_of
-from play_launch.recording.session import METADATA_NAME
+from play_launch.recording.topics import METADATA_NAME
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator
@@ -58,9 +58,5 @@ class PastSession:
         try:
             return event_of(message)
         except UnreadableEventError as error:
-            self.note_damage(message, error)
+            self.reader.damaged(str(error))
             return None
-
-    def note_damage(self, message: Message, error: Exception) -> None:
-        """Remember a message that cannot be read; each counts once."""
-        self.reader.note(Damage(message.offset, str(error), self.reader.file))

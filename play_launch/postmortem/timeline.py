@@ -6,17 +6,17 @@ again, what the supervisor does, downtimes.
 
 from __future__ import annotations
 
-import heapq
-import math
 import re
 from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
+from play_launch.postmortem.connections import Connections
 from play_launch.postmortem.events import UnreadableEventError
-from play_launch.postmortem.last_lines import LastLines
+from play_launch.postmortem.last_lines import LATE_LINES, LastLines
 from play_launch.postmortem.parameters import TOPICS as PARAMETER_TOPICS
 from play_launch.postmortem.parameters import Parameters
+from play_launch.postmortem.records import Runs
 from play_launch.postmortem.samples import Samples
 from play_launch.postmortem.session import PastSession
 from play_launch.postmortem.units import (
@@ -35,6 +35,7 @@ from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,
     ContainerStateChanged,
+    GraphChanged,
     LogRecord,
     NodeState,
     NodeStateChanged,
@@ -48,11 +49,9 @@ from play_launch.supervisor.events import (
 from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from play_launch.postmortem.bag_reader import Message, RecordedTopic, Take, TakeOf
-    from play_launch.postmortem.records import Runs
     from play_launch.postmortem.units import Reason, State
 
 MOST_CHANGES: Final = 300_000
@@ -61,14 +60,13 @@ MOST_EVENTS: Final = 5_000
 """Failures that are kept one by one; further ones are counted."""
 _MOST_TIMES: Final = 10_000
 """Moments of one failure that are kept."""
-_LATE_LINES: Final = 200_000_000
-"""Nanoseconds that the last lines of a process may take to the recording."""
 _KILLED: Final = frozenset({Cause.FROZEN, Cause.CHANNEL_FAILED, Cause.NODE_LEFT_LOCK})
 _WORDED: Final = frozenset({Sequel.RELOAD, Sequel.CONTAINER_RESTART, Sequel.SHUTDOWN})
 """Sequels that stand at the end of the reason of a node as well."""
 _PROCESS: Final = re.compile(r"\bprocess (\d+)\b")
 _ON_ITS_WAY: Final = frozenset({NodeState.PENDING, NodeState.UNLOADING})
 _STATES: Final = frozenset({topics.COMPONENT_EVENTS.name, topics.STATES.name, topics.LOG_ALL.name})
+_SIZED: Final = (SubjectKind.CONTAINER, SubjectKind.NODE, SubjectKind.PROCESS)
 
 
 class Timeline:
@@ -86,31 +84,20 @@ class Timeline:
         """By the keys of their units."""
         self.parameters = Parameters()
         self.lines = LastLines()
+        self.connections = Connections()
         self._version1 = Version1()
         self._by_key: dict[tuple[bool, str], Unit] = {}
         self._known: dict[Reason, Failure] = {}
         self._reports: dict[str | tuple[int, int], ComponentEvent] = {}
         """Of nodes whose state has not followed yet, by name and by what every one has."""
-        self._waiting: list[tuple[int, int, Failure]] = []
-        """Failures whose last lines may still come, and until when."""
         self._changes = 0
 
-    def messages(self) -> Iterator[tuple[Message, RunEvent | None]]:
-        """Take all messages, and give each with its event, if read.
+    def read(self, take_of: TakeOf) -> None:
+        """Read the recording, with ``take_of`` to give what takes the messages of a topic.
 
         Raises:
             NotARecordingError: At once, for another kind of file.
         """
-        takes: dict[RecordedTopic, Callable[[Message], RunEvent | None] | None] = {}
-        for message in self.session.reader.messages():
-            topic = message.topic
-            if topic not in takes:
-                takes[topic] = self._take_of(topic)
-            yield message, take(message) if (take := takes[topic]) is not None else None
-        self.end()
-
-    def read(self, take_of: TakeOf) -> None:
-        """Do the same, with ``take_of`` to give what takes the messages of a topic."""
         for _ in self.session.reader.records(take_of):
             pass
         self.end()
@@ -138,33 +125,24 @@ class Timeline:
         """Give the container or process of that name."""
         return self._by_key.get((False, name)) or self.unit(SubjectKind.PROCESS, name)
 
-    def runs_of(self, topic: RecordedTopic) -> Take | Runs | None:
-        """Give what takes the messages of a topic, samples of processes many at once."""
-        take = self._take_of(topic)
-        return self.samples if topic.type_name == topics.PROCESS_STATS else take
-
-    def failures_of(self, topic: RecordedTopic) -> Take | None:
-        """Do the same without what was written and measured, which is faster."""
-        return self._take_event if topic.name in _STATES else None
-
-    def _take_of(self, topic: RecordedTopic) -> Callable[[Message], RunEvent | None] | None:
+    def take_of(self, topic: RecordedTopic) -> Take | Runs | None:
+        """Give what takes the messages of a topic."""
         if topic.type_name == topics.PROCESS_STATS:
             self.of_topic(topic)
-            return self.samples.of(topic.key)
+            return Runs(self.samples.take)
         if topic.type_name == topics.GROUP_STATS:
             return self.groups.setdefault(topic.key, GroupUse()).take
         if topic.name == topics.OUTPUT.name:
-            return self._take_line
+            return Runs(self.lines.take)
         if topic.name == topics.SYSTEM.name:
             return self.samples.take_system
         if topic.name in PARAMETER_TOPICS:
             return self._take_parameters
-        return self._take_event if topic.name in _STATES else None
+        return self._take_event if topic.name == topics.GRAPH.name else self.failures_of(topic)
 
-    def _take_line(self, message: Message) -> None:
-        if self._waiting:
-            self._read_lines(message.log_time)
-        self.lines.take(message)
+    def failures_of(self, topic: RecordedTopic) -> Take | None:
+        """Do the same without what was written and measured, which is faster."""
+        return self._take_event if topic.name in _STATES else None
 
     def _take_event(self, message: Message) -> RunEvent | None:
         event = self.session.event(message)
@@ -176,7 +154,7 @@ class Timeline:
         try:
             self.parameters.take(message)
         except UnreadableEventError as error:
-            self.session.note_damage(message, error)
+            self.session.reader.damaged(str(error))
 
     def fold(self, event: RunEvent, at_ns: int) -> None:
         """Take one event, received at that log time."""
@@ -195,12 +173,15 @@ class Timeline:
                 self.interruptions.append(event)
             case Withdrawn():
                 self.unit(event.kind, event.key).is_withdrawn = True
+            case GraphChanged():
+                self.connections.take(event)
             case LogRecord():
                 self._version1.log(event)
 
     def end(self) -> None:
         """Finish: no message comes any more, and units that are down stay down."""
-        self._read_lines()
+        self.lines.end()
+        self.connections.end(self.session.reader.end)
         self.interruptions += self._version1.interruptions()
         for unit in self.units:
             if unit.down_since_ns and unit.failure is not None:
@@ -274,6 +255,7 @@ class Timeline:
         if event.cause is Cause.NOT_RECORDED:
             event = self._version1.process(event, is_stopping=unit.is_stopping)
         unit.restarts, is_failure = event.restarts, False
+        self.connections.run(event)
         match event.kind:
             case ProcessEventKind.STARTED:
                 self._is_back(unit, event.stamp_ns)
@@ -322,7 +304,7 @@ class Timeline:
         failure = container.failure
         if failure is None or container.is_stopping:
             return
-        if event.node != failure.who:
+        if event.node != failure.name:
             failure.hit[event.node] = None
         if not unit.down_since_ns:
             unit.down_since_ns, unit.failure = event.stamp_ns, failure
@@ -364,8 +346,7 @@ class Timeline:
         report = self._reports.pop(event.name, None)
         if report is not None and report.pid == event.pid and event.signal:
             failure.explain(report)
-        failure = self._add(failure, unit, event.message)
-        unit.failure = failure
+        unit.failure = self._add(failure, unit, event.message)
         if not unit.is_stopping:
             unit.down_since_ns = event.stamp_ns
         return fault is Fault.DIED
@@ -393,12 +374,11 @@ class Timeline:
             known = self._known[same] = failure
             self.failures.append(failure)
             failure.before = self.samples.before(
-                failure.key, failure.who, failure.pid, failure.log_time
+                failure.key, failure.name, failure.pid, failure.log_time
             )
-            if parameters := self.parameters.nodes.get(failure.who):
+            if parameters := self.parameters.nodes.get(failure.name):
                 failure.parameters = parameters.of_life(failure.since_ns) or None
-            until = failure.log_time + _LATE_LINES
-            heapq.heappush(self._waiting, (until, len(self.failures), failure))
+            self.lines.request(failure)
         elif failure.fault is Fault.SLOW:
             return known
         if len(known.times) < _MOST_TIMES:
@@ -413,28 +393,14 @@ class Timeline:
         else:
             self.events_left_out += 1
 
-    @property
-    def crashes(self) -> list[Failure]:
-        return [each for each in self.failures if each.is_crash]
-
     def size(self) -> dict[str, int]:
         """Count the containers, nodes and processes that were not taken out of the system."""
-        counts = {"container": 0, "node": 0, "process": 0}
-        for unit in self.units:
-            counts[unit.kind.name.lower()] += unit.is_known and not unit.is_withdrawn
-        return counts
+        known = [each.kind for each in self.units if each.is_known and not each.is_withdrawn]
+        return {kind.name.lower(): known.count(kind) for kind in _SIZED}
 
     def last_lines(self, unit: Unit) -> tuple[str, ...]:
         """Give the last lines of a unit up to its latest change of state."""
-        return self.lines.of(unit.container, unit.name, unit.since_ns + _LATE_LINES)
-
-    def _read_lines(self, before: float = math.inf) -> None:
-        """Give failures their last lines, which have all come before that log time."""
-        while self._waiting and self._waiting[0][0] < before:
-            until, _, failure = heapq.heappop(self._waiting)
-            if failure.container:  # when a node is loaded again, other lines follow
-                until = min(until, failure.back_at or until)
-            failure.last_lines = self.lines.of(failure.container, failure.who, until)
+        return self.lines.of(unit.container, unit.name, unit.since_ns + LATE_LINES)
 
 
 def read_timeline(path: Path, *, only_failures: bool = False) -> Timeline:
@@ -446,5 +412,5 @@ def read_timeline(path: Path, *, only_failures: bool = False) -> Timeline:
         NotARecordingError: For another kind of file.
     """
     timeline = Timeline(path)
-    timeline.read(timeline.failures_of if only_failures else timeline.runs_of)
+    timeline.read(timeline.failures_of if only_failures else timeline.take_of)
     return timeline

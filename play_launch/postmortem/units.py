@@ -59,7 +59,7 @@ Reason: TypeAlias = tuple[Fault, str, Signature | None]
 class Downtime(Struct, frozen=True):
     """How long a unit was down."""
 
-    who: str
+    name: str
     ns: int | None
     """Nanoseconds; None: until the end."""
 
@@ -69,7 +69,7 @@ class Failure(Struct, kw_only=True):
 
     fault: Fault
     key: str
-    who: str
+    name: str
     """Name of the unit."""
     container: str = ""
     """Of a node."""
@@ -106,7 +106,7 @@ class Failure(Struct, kw_only=True):
         return cls(
             fault=fault,
             key=unit.key,
-            who=event.node,
+            name=event.node,
             container=event.container,
             at_ns=event.stamp_ns,
             log_time=at_ns,
@@ -125,7 +125,7 @@ class Failure(Struct, kw_only=True):
         return cls(
             fault=fault,
             key=event.name,
-            who=event.name,
+            name=event.name,
             at_ns=event.stamp_ns,
             log_time=at_ns,
             cause=event.message or what,
@@ -148,7 +148,7 @@ class Failure(Struct, kw_only=True):
         """Add what the container reported about it."""
         if report is None:
             if self.fault is Fault.CRASHED:  # the report is not in the recording
-                self.signature = Signature(self.cause.partition(" (")[0], (self.who,))
+                self.signature = Signature(self.cause.partition(" (")[0], (self.name,))
             return
         self.cause = report.error_message or self.cause
         self.plugin, self.package = report.plugin_name, report.package_name
@@ -158,7 +158,7 @@ class Failure(Struct, kw_only=True):
         has_crashed = report.kind is ComponentEventKind.CRASHED
         if has_crashed or report.signal or report.exit_code or self.frames:
             what = ending(report.signal, report.exit_code, report.error_message)
-            self.signature = signature_of(what, self.frames, self.who)
+            self.signature = signature_of(what, self.frames, self.name)
 
     def follow(self, sequel: Sequel, delay_ns: int, reason: str = "") -> None:
         """Note what the supervisor did."""

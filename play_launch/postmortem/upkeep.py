@@ -1,4 +1,4 @@
-"""Has the sessions of before looked after while a system runs, when it is up."""
+"""Upkeep of earlier sessions' recordings while a system runs, once it is up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 from typing import TYPE_CHECKING, Final
 
 from play_launch.process.child import spawn
-from play_launch.process.program import SpawnError
+from play_launch.process.guard import SessionGuard, SpawnError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from play_launch.supervisor.events import Stream
     from play_launch.supervisor.view import SystemView
 
-_PATIENCE: Final = 60.0
+_TIMEOUT: Final = 60.0
 """Seconds after which a system that is not complete counts as one that never will be."""
 _LOOK: Final = 1.0
 REST = 10.0
@@ -55,7 +55,7 @@ async def look_after_sessions(
 
 async def _end_of_bring_up(view: Callable[[], SystemView]) -> None:
     loop = asyncio.get_running_loop()
-    latest = loop.time() + _PATIENCE
+    latest = loop.time() + _TIMEOUT
     while not view().is_complete and loop.time() < latest:  # noqa: ASYNC110 - views have no event
         await asyncio.sleep(_LOOK)
 
@@ -68,17 +68,23 @@ async def _run_once(log_folder: Path, keep: KeepConfig, guard: Path) -> None:
     if keep.size is not None:
         command.append(f"--keep-size={keep.size}")
     try:
-        child = await spawn(command, env=os.environ, guard=guard, on_output=_report)
-    except (SpawnError, OSError) as error:
-        _log.warning("sessions of before are not looked after: %s", error)
+        parent = SessionGuard.start(guard)
+    except OSError as error:
+        _log.warning("upkeep of earlier sessions failed: %s", error)
         return
     try:
-        await child.gone()
-    except asyncio.CancelledError:
-        # The next start takes up what it was at.
-        child.send_signal(signal.SIGKILL)
-        await child.gone()
-        raise
+        child = await spawn(command, env=os.environ, guard=parent, on_output=_report)
+        try:
+            await child.gone()
+        except asyncio.CancelledError:
+            # The next start takes up what it was at.
+            child.send_signal(signal.SIGKILL)
+            await child.gone()
+            raise
+    except SpawnError as error:
+        _log.warning("upkeep of earlier sessions failed: %s", error)
+    finally:
+        await parent.end()
 
 
 def _report(_stream: Stream, lines: Sequence[Line]) -> None:

@@ -6,8 +6,6 @@ import asyncio
 import logging
 import os
 import signal
-import subprocess
-import threading
 import time
 import tty
 from contextlib import ExitStack, contextmanager, suppress
@@ -18,12 +16,11 @@ from typing import TYPE_CHECKING
 
 from play_launch.process.cgroups.group import why_failed, why_killed
 from play_launch.process.exit import Exit
-from play_launch.process.guard import Ourselves, Parent, SessionGuard
+from play_launch.process.guard import SpawnError, check_program
 from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat, tracer_of
 from play_launch.process.kin import MEMBER_VARIABLE, Kin
 from play_launch.process.lines import LineReader, OutputCallback
 from play_launch.process.machine import explained
-from play_launch.process.program import SpawnError, check_program
 from play_launch.process.session import (
     group_members,
     session_members,
@@ -38,6 +35,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.process.cgroups.group import Group
+    from play_launch.process.guard import SessionGuard
     from play_launch.process.stop import StopPolicy
 
 INHERITED = 3
@@ -73,7 +71,7 @@ class Child:
         identity: ProcessIdentity,
         pidfd: int,
         readers: Sequence[LineReader],
-        parent: Parent,
+        guard: SessionGuard,
         *,
         group: Group | None = None,
         mark: str = "",
@@ -87,9 +85,9 @@ class Child:
         self.exit: Exit | None = None
         """How it ended; None while it runs."""
         self._pidfd = pidfd
-        self._parent = parent
+        self._guard = guard
         self._group = group
-        self._kin = Kin(identity, parent, mark)
+        self._kin = Kin(identity, guard, mark)
         self._was_killed = False
         self._readers = tuple(readers)
         self._loop = asyncio.get_running_loop()
@@ -202,7 +200,7 @@ class Child:
     async def _ended(self) -> Exit:
         asked = 0
         # The zombie stays and with it the number of its group, see signal_group.
-        while (ended := await self._parent.ended(self.pid)) is None:
+        while (ended := await self._guard.ended(self.pid)) is None:
             # A tracer is told first, and when it tells the kernel to go on, the parent.
             if asked == _TIMES_UNTIL_WARNING:
                 told = (self.argv[0], self.pid, tracer_of(self.pid) or "another process")
@@ -278,7 +276,7 @@ class Child:
         pidfd, self._pidfd = self._pidfd, -1
         os.close(pidfd)
         with suppress(ChildProcessError):  # another did, see Exit.lost
-            await self._parent.reap(self.pid)
+            await self._guard.reap(self.pid)
 
     def __repr__(self) -> str:
         state = "running" if self.exit is None else str(self.exit)
@@ -289,7 +287,7 @@ async def spawn(
     argv: Sequence[str],
     *,
     env: Mapping[str, str],
-    guard: SessionGuard | Path | None,
+    guard: SessionGuard,
     cwd: Path | None = None,
     descriptors: Mapping[int, int] = MappingProxyType({}),
     on_output: OutputCallback | None = None,
@@ -304,19 +302,15 @@ async def spawn(
     Args:
         argv: The command line; the program is looked up in the PATH of `env`.
         env: The whole environment.
-        guard: Ends the child with the supervisor. A `SessionGuard` becomes its
-            parent, and ends it with everything that came of it. The program `spawn_guard` makes
-            the kernel kill the child alone when the thread that called this ends
-            (PR_SET_PDEATHSIG). None starts it without that.
+        guard: Becomes its parent, and ends it with everything that came of it when we end.
         cwd: Its working directory.
-        descriptors: What it inherits beside its standard streams, by the number that it has there;
-            without a `SessionGuard` that is our own. All others are closed.
+        descriptors: What it inherits beside its standard streams, by the number that it has there.
         on_output: Gets its lines; None sends its output to /dev/null.
         leaves_by_itself: Whether it exits when the supervisor has exited, see `SessionGuard.spawn`.
-        settings: What it asks of the kernel, see `SessionGuard.spawn`; only with that.
+        settings: What it asks of the kernel, see `SessionGuard.spawn`.
         group: The control group that it enters by one of the settings: it is killed and removed
             with what is left in it.
-        mark: Identifies its daemons, see `Kin`; unique with a session guard.
+        mark: Identifies its daemons, see `Kin`; unique for the guard.
         emulate_tty: Whether it writes to terminals, one for each stream, instead of pipes.
 
     Raises:
@@ -326,8 +320,6 @@ async def spawn(
     check_program(argv, env, cwd)
     if mark:
         env = {**env, MEMBER_VARIABLE: mark}
-    _keep_exit_statuses()
-    parent: Parent = guard if isinstance(guard, SessionGuard) else Ourselves()
     with ExitStack() as opened:
         try:
             pipes: dict[Stream, tuple[int, int]] = {}
@@ -341,19 +333,14 @@ async def spawn(
             standard = [nothing, nothing, nothing]
             if pipes:
                 standard[1:] = pipes[Stream.STDOUT][1], pipes[Stream.STDERR][1]
-            if isinstance(guard, SessionGuard):
-                pid = await guard.spawn(  # noqa: ASYNC240 - no path here
-                    argv,
-                    env,
-                    {**dict(enumerate(standard)), **descriptors},
-                    leaves_by_itself=leaves_by_itself,
-                    cwd=cwd,
-                    settings=settings,
-                )
-            else:
-                pid = _fork(
-                    argv, env=env, guard=guard, cwd=cwd, standard=standard, kept=[*descriptors]
-                )
+            pid = await guard.spawn(
+                argv,
+                env,
+                {**dict(enumerate(standard)), **descriptors},
+                leaves_by_itself=leaves_by_itself,
+                cwd=cwd,
+                settings=settings,
+            )
         except OSError as error:
             raise SpawnError.of(argv, error) from None
         except ValueError as error:  # a NUL byte in an argument
@@ -365,8 +352,6 @@ async def spawn(
             identity = read_stat(pid).identity
         except OSError as error:
             os.kill(pid, signal.SIGKILL)
-            if not isinstance(guard, SessionGuard):
-                os.waitpid(pid, 0)  # noqa: ASYNC222 - it has been killed
             raise SpawnError.of(argv, error) from None
         for _, write_end in pipes.values():
             os.close(write_end)
@@ -381,40 +366,10 @@ async def spawn(
             for stream, (read_end, _) in pipes.items()
             if on_output is not None
         ],
-        parent,
+        guard,
         group=group,
         mark=mark,
     )
-
-
-def _fork(
-    argv: Sequence[str],
-    *,
-    env: Mapping[str, str],
-    guard: Path | None,
-    cwd: Path | None,
-    standard: Sequence[int],
-    kept: Sequence[int],
-) -> int:
-    command = list(argv)
-    if guard is not None:
-        command = [os.fspath(guard), str(os.getpid()), "--", *argv]
-    # Popen forks with vfork(), which costs the same however large we are.
-    process = subprocess.Popen(
-        command,
-        env=dict(env),
-        cwd=cwd,
-        stdin=standard[0],
-        stdout=standard[1],
-        stderr=standard[2],
-        start_new_session=True,
-        close_fds=True,
-        pass_fds=tuple(kept),
-    )
-    # The pidfd alone is waited for. A Popen without a return code would wait for the bare pid
-    # when it is collected.
-    process.returncode = 0
-    return process.pid
 
 
 def _terminal() -> tuple[int, int]:
@@ -423,15 +378,6 @@ def _terminal() -> tuple[int, int]:
     # What is written arrives as it is: no returns before line ends, nothing echoed.
     tty.setraw(theirs)
     return ours, theirs
-
-
-def _keep_exit_statuses() -> None:
-    """Undo an ignored SIGCHLD, which a parent may have left us: the kernel would reap for us."""
-    if (
-        signal.getsignal(signal.SIGCHLD) is signal.SIG_IGN
-        and threading.current_thread() is threading.main_thread()
-    ):
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
 
 
 def _close_if_open(descriptor: int) -> None:

@@ -11,14 +11,17 @@ import asyncio
 import atexit
 import errno
 import os
+import shutil
 import signal
 import socket
 import struct
 import subprocess
+import threading
 from collections import deque
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, BinaryIO, Final, Protocol, Self
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO, Final, Self
 
 from play_launch.process import open_files
 from play_launch.process.exit import Exit
@@ -27,7 +30,6 @@ from play_launch.process.time_slice import ask_for_short_turns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from play_launch.process.identity import ProcessStat
 
@@ -48,41 +50,50 @@ _END_LIMIT: Final = 5.0
 """Seconds in which it ends everything; uninterruptible processes may take longer."""
 
 
-class Parent(Protocol):
-    """Parent of a process, which can wait for it."""
+class SpawnError(Exception):
+    """A program could not be started.
 
-    async def ended(self, pid: int) -> Exit | None:
-        """Return its exit without reaping it; None while it runs.
+    Attributes:
+        argv: The command line.
+        errno: The error number, 0 where the arguments themselves are unusable.
+    """
 
-        Raises:
-            ChildProcessError: When it was reaped.
-        """
+    def __init__(self, argv: Sequence[str], reason: str, errno: int = 0) -> None:
+        program = argv[0] if argv else "a program without a name"
+        super().__init__(f"cannot start {program}: {reason}")
+        self.argv = tuple(argv)
+        self.errno = errno
 
-    async def reap(self, pid: int) -> None:
-        """Let its pid go; raises ChildProcessError as well."""
+    @classmethod
+    def of(cls, argv: Sequence[str], error: OSError) -> SpawnError:
+        """Put an error of the system into words."""
+        reason = error.strerror or str(error)
+        named = error.filename
+        if named is not None and str(named) != argv[0]:
+            reason = f"{reason}: {named}"
+        return cls(argv, reason, error.errno or 0)
 
-    def has_inherited(self, process: ProcessStat) -> bool:
-        """Whether it became a child of this one when its own parent ended."""
 
+def check_program(argv: Sequence[str], env: Mapping[str, str], cwd: Path | None) -> None:
+    """Check the program before the guard runs, whose own message would be output.
 
-class Ourselves:
-    """The parent of what this process has forked."""
-
-    async def ended(self, pid: int) -> Exit | None:
-        """See `Parent`."""
-        # WNOWAIT: the zombie stays, and with it its pid and the number of its group.
-        options = os.WEXITED | os.WNOHANG | os.WNOWAIT
-        result = os.waitid(os.P_PID, pid, options)  # noqa: ASYNC222 - WNOHANG
-        return None if result is None else Exit.of(result.si_code, result.si_status)
-
-    async def reap(self, pid: int) -> None:
-        """See `Parent`."""
-        os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG)  # noqa: ASYNC222 - WNOHANG
-
-    def has_inherited(self, process: ProcessStat) -> bool:
-        """See `Parent`; we are no subreaper."""
-        del process
-        return False
+    Raises:
+        SpawnError: When there is no such program or folder, or it cannot be executed.
+    """
+    if not argv or not argv[0]:
+        raise SpawnError(argv, "the command line is empty")
+    if cwd is not None and not cwd.is_dir():
+        reason = FileNotFoundError(2, f"its working directory is no directory: {cwd}")
+        raise SpawnError.of(argv, reason)
+    program = argv[0]
+    if "/" in program:
+        path = Path(cwd or ".") / program
+        if not path.exists():
+            raise SpawnError.of(argv, FileNotFoundError(2, "no such file"))
+        if path.is_dir() or not os.access(path, os.X_OK):
+            raise SpawnError.of(argv, PermissionError(13, "it is not an executable file"))
+    elif shutil.which(program, path=env.get("PATH", os.defpath)) is None:
+        raise SpawnError.of(argv, FileNotFoundError(2, "no such program in PATH"))
 
 
 @dataclass(eq=False, slots=True)
@@ -131,6 +142,7 @@ class SessionGuard:
             afterwards: A command that it starts when we have died and it has ended everything.
             answer_limit: Seconds; it is lost when an answer takes longer.
         """
+        _keep_exit_statuses()
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with ExitStack() as on_failure, theirs:
             on_failure.callback(ours.close)
@@ -222,18 +234,22 @@ class SessionGuard:
             os.close(folder)
 
     async def ended(self, pid: int) -> Exit | None:
-        """See `Parent`."""
+        """Return the exit of a process without reaping it; None while it runs.
+
+        Raises:
+            ChildProcessError: When it was reaped.
+        """
         return await self._wait(_STATUS, pid)
 
     async def reap(self, pid: int) -> None:
-        """See `Parent`."""
+        """Let its pid go; raises ChildProcessError as well."""
         try:
             await self._wait(_REAP, pid)
         finally:
             self._started.discard(pid)
 
     def has_inherited(self, process: ProcessStat) -> bool:
-        """See `Parent`.
+        """Whether it became a child of this one when its own parent ended.
 
         When the guard was killed, what it had inherited went to init or a subreaper above us.
         """
@@ -402,3 +418,12 @@ def _command_file(
     file.write(counts + b"".join(text + b"\0" for text in texts))
     file.flush()
     return file
+
+
+def _keep_exit_statuses() -> None:
+    """Undo an ignored SIGCHLD, by which the kernel would reap: a parent may have left us one."""
+    if (
+        signal.getsignal(signal.SIGCHLD) is signal.SIG_IGN
+        and threading.current_thread() is threading.main_thread()
+    ):
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)

@@ -23,7 +23,7 @@ from play_launch.process.identity import parse_stat
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
-    from play_launch.process.guard import Parent
+    from play_launch.process.guard import SessionGuard
     from play_launch.process.identity import ProcessIdentity, ProcessStat
 
 _log = logging.getLogger(__name__)
@@ -51,10 +51,10 @@ def mark_for(supervisor: object, name: str) -> str:
 class Kin:
     """Finds the descendants of one child; belongs to the loop's thread."""
 
-    def __init__(self, leader: ProcessIdentity, parent: Parent, mark: str) -> None:
+    def __init__(self, leader: ProcessIdentity, guard: SessionGuard, mark: str) -> None:
         """Find descendants of the child ``leader``, which has ``mark`` in its environment."""
         self._leader = leader
-        self._parent = parent
+        self._guard = guard
         self._mark = mark
         self._seen: set[ProcessIdentity] = set()
 
@@ -72,7 +72,7 @@ class Kin:
         return found
 
     async def _orphans(self, living: Iterable[ProcessStat]) -> list[int]:
-        orphans = [each for each in living if self._parent.has_inherited(each)]
+        orphans = [each for each in living if self._guard.has_inherited(each)]
         if not self._mark or not orphans:
             return []
         marks = await _marks_of(orphans)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 LEAST_ADDRESS_SPACE: Final = 1024**3
 """Bytes. With less, threads and libraries of ROS do not fit into a process with one node."""
-PROC_FIX: Final = "mount -t proc proc /proc, in the PID namespace of play-launch"
+_PROC_FIX: Final = "mount -t proc proc /proc, in the PID namespace of play-launch"
 ADDRESS_SPACE_FIX: Final = "ulimit -v unlimited, or LimitAS=infinity in the systemd unit"
 SHARED_MEMORY_FIX: Final = "in docker: --shm-size 1g; else mount -o remount,size=1g /dev/shm"
 _SHARED_MEMORY: Final = "/dev/shm"  # noqa: S108 - where Linux keeps shared memory
@@ -36,30 +36,26 @@ class Room(Struct, frozen=True):
 
 
 def proc_problem() -> str:
-    """Return why `/proc` does not show this process; empty if it does."""
+    """Return why `/proc` does not show this process, and the fix; empty if it does."""
     try:
         shown = os.readlink("/proc/self")  # noqa: PTH115 - a Path would only be made a text again
     except OSError:
-        return "/proc is not mounted, or not the one of this PID namespace"
+        return f"/proc is not mounted, or not the one of this PID namespace; fix: {_PROC_FIX}"
     if shown != str(os.getpid()):
-        return f"/proc belongs to another PID namespace: it shows this process as {shown}"
+        problem = f"/proc belongs to another PID namespace: it shows this process as {shown}"
+        return f"{problem}; fix: {_PROC_FIX}"
     return ""
 
 
-def address_space() -> int | None:
-    """Return the limit on the address space of a process in bytes; None if unlimited."""
-    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
-    return None if soft == resource.RLIM_INFINITY else soft
-
-
-def address_space_problem(limit: int | None) -> str:
-    """Say that a limit is too small for any process with ROS; empty: it is not."""
-    if limit is None or limit >= LEAST_ADDRESS_SPACE:
+def address_space_problem() -> str:
+    """Report an address space that is too small for any process with ROS; empty: it is not."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit == resource.RLIM_INFINITY or limit >= LEAST_ADDRESS_SPACE:
         return ""
     least = mebibytes(LEAST_ADDRESS_SPACE)
     return (
         f"the address space of a process is limited to {mebibytes(limit)} (ulimit -v), "
-        f"and one with ROS needs {least} or more"
+        f"and one with ROS needs {least} or more; fix: {ADDRESS_SPACE_FIX}"
     )
 
 
@@ -72,12 +68,12 @@ def shared_memory_room() -> Room | None:
     return Room(total=found.f_blocks * found.f_frsize, free=found.f_bavail * found.f_frsize)
 
 
-def shared_memory_problem(room: Room | None, participants: int) -> str:
-    """Say that shared memory is too small for so many participants of Fast DDS; empty: it is not.
+def shared_memory_problem(participants: int) -> str:
+    """Report shared memory too small for so many participants of Fast DDS; empty: it is not.
 
     Each takes half a megabyte, and the queues of its ports about as much.
     """
-    least = max(16, participants) * _MEBIBYTE
+    room, least = shared_memory_room(), max(16, participants) * _MEBIBYTE
     if room is None or room.free >= least:
         return ""
     return (
@@ -86,16 +82,20 @@ def shared_memory_problem(room: Room | None, participants: int) -> str:
     )
 
 
-def full_shared_memory(room: Room | None) -> str:
-    """Say that no process with ROS can start, because shared memory is full; empty: it is not.
+def full_shared_memory() -> str:
+    """Report that no process with ROS can start, because shared memory is full; empty: it is not.
 
     rcl's tracing, lttng-ust, maps a page of it in each process, and dies of SIGBUS without one, in
     a thread that no handler reaches. Fast DDS allocates what it maps beforehand, and does without
     shared memory where that fails.
     """
+    room = shared_memory_room()
     if room is None or room.free >= _PAGES:
         return ""
-    return f"{_SHARED_MEMORY} is full ({room}): every process with ROS dies of SIGBUS there"
+    return (
+        f"{_SHARED_MEMORY} is full ({room}): every process with ROS dies of SIGBUS there; fix: "
+        f"{SHARED_MEMORY_FIX}"
+    )
 
 
 def explained(exit_: Exit) -> Exit:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import anyio
 from msgspec import Struct
 
+from play_launch.config.model import StopLimits
 from play_launch.process.session import signal_each, wait_all_ended
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class StopLevel(IntEnum):
-    """How far one had to go."""
+    """How far one had to go; the levels after `ASK` are names of signals."""
 
     NONE = 0
     """It had exited before."""
@@ -34,14 +35,7 @@ class StopLevel(IntEnum):
     SIGKILL = 4
 
 
-_SIGNALS = {
-    StopLevel.SIGINT: signal.SIGINT,
-    StopLevel.SIGTERM: signal.SIGTERM,
-    StopLevel.SIGKILL: signal.SIGKILL,
-}
-
-
-class StopPolicy(Struct, frozen=True, kw_only=True):
+class StopPolicy(StopLimits, frozen=True, kw_only=True):
     """Seconds to wait at each level before the next; 0 leaves a level out.
 
     `hurried` is what is left of the present level, and all the later ones get at most, once
@@ -49,9 +43,6 @@ class StopPolicy(Struct, frozen=True, kw_only=True):
     uninterruptible system call does not die.
     """
 
-    ask: float = 3.0
-    sigint: float = 2.0
-    sigterm: float = 2.0
     sigkill: float = 5.0
     hurried: float = 0.3
 
@@ -79,13 +70,12 @@ class StopOutcome(Struct, frozen=True):
 
 def plan(policy: StopPolicy, *, can_ask: bool) -> tuple[StopStep, ...]:
     """The levels to go through; SIGKILL is always the last."""
-    limits = {
-        StopLevel.ASK: policy.ask if can_ask else 0.0,
-        StopLevel.SIGINT: policy.sigint,
-        StopLevel.SIGTERM: policy.sigterm,
-    }
-    gentle = [StopStep(level, limit) for level, limit in limits.items() if limit > 0]
-    return (*gentle, StopStep(StopLevel.SIGKILL, policy.sigkill))
+    steps = [
+        StopStep(StopLevel[name.upper()], getattr(policy, name))
+        for name in (*StopLimits.__struct_fields__, "sigkill")
+        if can_ask or name != "ask"
+    ]
+    return tuple(step for step in steps if step.limit > 0 or step.level is StopLevel.SIGKILL)
 
 
 async def stop(
@@ -120,7 +110,7 @@ async def stop(
                 if not child.is_running or ask is None or not ask():
                     continue
             else:
-                _signal_session(child, others, _SIGNALS[step.level])
+                _signal_session(child, others, signal.Signals[step.level.name])
             if child.is_running:
                 level = step.level
             elif step.level is StopLevel.SIGKILL:

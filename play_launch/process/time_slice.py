@@ -28,7 +28,7 @@ def ask_for_short_turns(pid: int = 0, *, children_too: bool = True) -> bool:
     An answer takes less than a millisecond of processor time. Where sixty starting or ending
     programs want two processors, whose turns are some milliseconds each, it waits for seconds. The
     scheduler of Linux 6.12 and later (EEVDF, "custom slice" in its sources) takes the one first
-    whose turn would be over first, within its fair share, without privileges.
+    whose time slice would end first, within its fair share, without privileges.
 
     Args:
         pid: A process, whose main thread it is; 0 is the calling thread.

@@ -18,7 +18,7 @@ from play_launch.container.cdr.layout import Layout
 from play_launch.recording.errors import WriteFailedError, reason
 from play_launch.recording.folder import IndexedFile, IndexedTopic, part_path, write_index
 from play_launch.recording.mcap_file import McapFile
-from play_launch.recording.topics import PARAMETERS, message_definition
+from play_launch.recording.topics import PARAMETERS, PART_METADATA, REPEATED, message_definition
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -27,11 +27,6 @@ if TYPE_CHECKING:
     from play_launch.recording.chunk import TopicChunk
     from play_launch.recording.topics import Topic
 
-PART_METADATA: Final = "play_launch.part"
-"""Every file but the first has it, with its ``number`` (from 1 on)."""
-REPEATED: Final = 0
-"""Sequence number of messages that repeat the latest ones of the files before; others have
-higher ones."""
 _ROTATION_RETRY: Final = 10.0
 """Seconds until the next file is tried again."""
 _UNFLUSHED_LIMIT: Final = 64 * 1024

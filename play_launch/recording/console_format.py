@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from typing import Final
 
@@ -13,15 +14,8 @@ WARN: Final = 30
 ERROR: Final = 40
 FATAL: Final = 50
 
-_LEVELS: Final = {
-    "DEBUG": DEBUG,
-    "INFO": INFO,
-    "WARN": WARN,
-    "WARNING": WARN,
-    "ERROR": ERROR,
-    "FATAL": FATAL,
-    "CRITICAL": FATAL,
-}
+_LEVELS: Final = logging.getLevelNamesMapping()
+"""ROS has Python's levels, and names of its own for some that Python knows too."""
 _SEVERITY: Final = re.compile(r"(?:\x1b\[[0-9;]*m)*\[\s*([A-Z]{4,8})\s*\](?!\w)")
 
 

@@ -18,6 +18,10 @@ ACTIVE_SUFFIX: Final = ".active"
 """Appended to the name of a file while it is written."""
 HALF_SUFFIX: Final = ".recovering"
 """Appended to the name of a file while it is recovered."""
+MAGIC: Final = b"\x89MCAP0\r\n"
+"""How an MCAP file begins and ends."""
+_BUFFER: Final = 1 << 17
+"""Bytes that are read at once: records of a recording are short."""
 BAG_NAME: Final = "session.mcap"
 ORDER_NAME: Final = ".order"
 """In the log folder: the names of sessions in the order of their starts, one a line. The folders
@@ -130,7 +134,7 @@ def open_bag(path: Path) -> IO[bytes]:
         OSError: When that cannot be done, or it is no regular file.
     """
     try:
-        return os.fdopen(open_regular(path, follow=True), "rb")
+        return os.fdopen(open_regular(path, follow=True), "rb", _BUFFER)
     except FileNotFoundError:
         if not path.name.endswith(ACTIVE_SUFFIX):
             raise

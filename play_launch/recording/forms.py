@@ -5,6 +5,8 @@ from __future__ import annotations
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
 
+from msgspec.structs import asdict
+
 from play_launch.config.node_key import NodeKey
 from play_launch.container.cdr.messages import (
     ACTION_EVENT,
@@ -19,6 +21,7 @@ from play_launch.container.cdr.messages import (
 from play_launch.recording import topics
 from play_launch.recording.console_format import ERROR, WARN, line_level
 from play_launch.recording.topics import Topic
+from play_launch.supervisor.endpoints import Endpoint
 from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,
@@ -48,7 +51,7 @@ from play_launch.supervisor.events import (
 from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from enum import Enum
 
     from play_launch.container.cdr.layout import Layout
@@ -155,6 +158,10 @@ def _names(event: Withdrawn) -> dict[str, str]:
     return {"name": key.name, "container": key.container}
 
 
+def _endpoints(every: Iterable[Mapping[str, Any]]) -> tuple[Endpoint, ...]:
+    return tuple(Endpoint(**fields) for fields in every)
+
+
 _NODE: Final = Form(
     NodeStateChanged,
     topics.STATES,
@@ -207,7 +214,15 @@ WITHDRAWN: Final = Form(
     besides=lambda event: {"state": WITHDRAWN_STATE, **_names(event)},
 )
 """Whatever it was about: the last state of something that was taken out of the running system."""
-GRAPH: Final = Form(GraphChanged, topics.GRAPH, GRAPH_EVENT)
+GRAPH: Final = Form(
+    GraphChanged,
+    topics.GRAPH,
+    GRAPH_EVENT,
+    *(
+        Column(name, name, lambda every: tuple(map(asdict, every)), _endpoints)
+        for name in ("endpoints_appeared", "endpoints_vanished")
+    ),
+)
 ACTION: Final = Form(
     ActionEvent, topics.ACTIONS, ACTION_EVENT, Column("phase", "phase", None, ActionPhase)
 )

@@ -26,8 +26,6 @@ LOGGER_NAME: Final = "play_launch"
 MOST_WAITING: Final = 10_000
 """Records of other loggers that wait to be published."""
 
-_NANOSECONDS: Final = 1_000_000_000
-_HIGHEST: Final = 50
 _log = logging.getLogger(__name__)
 _python_log = logging.getLogger("python")
 
@@ -107,22 +105,19 @@ class EventLogHandler(logging.Handler):
     any thread.
     """
 
-    def __init__(self, publish: Callable[[LogRecord], None], level: int = logging.DEBUG) -> None:
-        """``level`` is the lowest one to pass on."""
-        super().__init__(level)
+    def __init__(self, publish: Callable[[LogRecord], None]) -> None:
+        super().__init__()
         self._publish = publish
 
     def emit(self, record: logging.LogRecord) -> None:
         """Publish one record; a record that cannot be formatted is reported on stderr."""
         try:
-            message = record.getMessage()
-            if record.exc_info:
-                message = f"{message}\n{_FORMATTER.formatException(record.exc_info)}"
             event = LogRecord(
-                stamp_ns=int(record.created * _NANOSECONDS),
-                level=_ros_level(record.levelno),
+                stamp_ns=int(record.created * 1e9),
+                # The next lower level that ROS knows: Python has free numbers between them.
+                level=min(max(record.levelno // 10 * 10, logging.DEBUG), logging.FATAL),
                 name=record.name,
-                message=message.rstrip(),
+                message=self.format(record).rstrip(),
                 file=record.filename,
                 function=record.funcName or "",
                 line=record.lineno,
@@ -131,11 +126,3 @@ class EventLogHandler(logging.Handler):
             self.handleError(record)
         else:
             self._publish(event)
-
-
-_FORMATTER: Final = logging.Formatter()
-
-
-def _ros_level(level: int) -> int:
-    """The next lower level that ROS knows: Python's are the same, with free numbers between."""
-    return min(max(level // 10 * 10, logging.DEBUG), _HIGHEST)

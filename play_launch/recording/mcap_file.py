@@ -34,7 +34,7 @@ from zstandard import ZstdCompressor
 from play_launch.container.cdr.layout import text_bytes
 from play_launch.recording.chunk import ENTRY, INDEX, MESSAGE
 from play_launch.recording.errors import WriteFailedError
-from play_launch.recording.folder import ACTIVE_SUFFIX
+from play_launch.recording.folder import ACTIVE_SUFFIX, MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from play_launch.recording.chunk import TopicChunk
     from play_launch.recording.topics import Topic
 
-MAGIC: Final = b"\x89MCAP0\r\n"
 CHUNK_SIZE: Final = 960 * 1024
 """Bytes, uncompressed. A chunk ends after the message that exceeds it: 64 KiB are left for that."""
 _CHUNK: Final = struct.Struct("<BQQQQII4sQ")

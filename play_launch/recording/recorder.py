@@ -17,7 +17,7 @@ from play_launch.recording.decisions import STATES, Decision, written
 from play_launch.recording.errors import RecordingError, SchemaNotFoundError, WriteFailedError
 from play_launch.recording.forms import TopicMessage, convert, is_failure, output_message
 from play_launch.recording.limits import LOGGER, DroppedEvents, RecorderLimits, RecordingSummary
-from play_launch.recording.topics import Topic
+from play_launch.recording.topics import DROPS_METADATA, Topic
 from play_launch.supervisor.events import (
     LogRecord,
     OutputLine,
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from play_launch.recording.bag import BagWriter
     from play_launch.recording.chunk import TopicChunk
 
-DROPS_METADATA: Final = "play_launch.topic_drops"
-"""Metadata record: number of messages of each topic that are not in the bag; absent without any."""
 _FLOOD: Final = 1000
 """Events in one batch that make it a flood: 20,000 a second."""
 _HELD_INPUTS: Final = 200

@@ -29,6 +29,7 @@ from play_launch.recording.errors import RecordingError, reason
 from play_launch.recording.folder import BAG_NAME, note_start
 from play_launch.recording.recorder import Recorder
 from play_launch.recording.resolved_form import redacted_arguments
+from play_launch.recording.topics import METADATA_NAME, RESOLVED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -43,10 +44,8 @@ _UNSAFE: Final = re.compile(r"[^A-Za-z0-9._-]+")
 _LONGEST_NAME: Final = 100
 SCHEMA_VERSION: Final = 1
 """Version of the layout of a recording: topics, attachments and metadata."""
-METADATA_NAME: Final = "play_launch.session"
 ROS_DISTRO: Final = "ros_distro"
 """A name in it; empty where the environment does not say."""
-RESOLVED: Final = "resolved_config.json"
 INCLUDED: Final = "includes/"
 PARAMETERS: Final = "parameters/"
 """What the names of attached files begin with."""

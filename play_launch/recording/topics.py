@@ -16,21 +16,28 @@ import sys
 from collections import deque
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from msgspec import Struct
 
+from play_launch.config.substitutions import ament_prefixes
 from play_launch.recording.errors import SchemaNotFoundError
 from play_launch.supervisor.events import SubjectKind
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 KIND: Final = "play_launch.kind"
 KEY: Final = "play_launch.key"
 """Metadata of a channel: see `Topic.about`."""
 PROCESS_STATS: Final = "play_launch_msgs/msg/ProcessStats"
 GROUP_STATS: Final = "play_launch_msgs/msg/GroupStats"
+METADATA_NAME: Final = "play_launch.session"
+PART_METADATA: Final = "play_launch.part"
+"""Every file but the first has it, with its ``number`` (from 1 on)."""
+DROPS_METADATA: Final = "play_launch.topic_drops"
+"""Metadata record: number of messages of each topic that are not in the bag; absent without any."""
+RESOLVED: Final = "resolved_config.json"
+REPEATED: Final = 0
+"""Sequence number of messages that repeat the latest ones of the files before; others have
+higher ones."""
 _SEPARATOR: Final = "=" * 80
 _PRIMITIVES: Final = frozenset(
     {"bool", "byte", "char", "float32", "float64", "string", "wstring"}
@@ -144,21 +151,13 @@ def _place(kind: SubjectKind, key: str) -> str:
     return f"/play_launch/{room}/{'/'.join(words)}"
 
 
-def search_prefixes(environ: Mapping[str, str] = os.environ) -> tuple[Path, ...]:
-    """Prefixes that may hold message packages: the ament overlays, then Python's own prefix.
-
-    ROS from wheels installs into the latter and needs no ``AMENT_PREFIX_PATH``.
-    """
-    overlays = [Path(entry) for entry in environ.get("AMENT_PREFIX_PATH", "").split(":") if entry]
-    return tuple(dict.fromkeys([*overlays, Path(sys.prefix)]))
-
-
 def message_definition(type_name: str, prefixes: tuple[Path, ...] | None = None) -> str:
     """Return the definition of ``package/msg/Name`` with everything it depends on.
 
-    Raises :class:`SchemaNotFoundError` when a definition is not installed below ``prefixes``.
+    Raises :class:`SchemaNotFoundError` when a definition is not installed below ``prefixes``. ROS
+    from wheels is below Python's own prefix, and needs no ``AMENT_PREFIX_PATH``.
     """
-    places = search_prefixes() if prefixes is None else prefixes
+    places = prefixes or (*ament_prefixes(os.environ), Path(sys.prefix))
     package, name = _split(type_name, "")
     seen = {(package, name)}
     waiting = deque(seen)

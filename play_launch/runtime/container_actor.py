@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 import anyio
 from msgspec.structs import replace
 
-from play_launch.container.channel import ChannelClosedError, ControlError, VersionMismatchError
-from play_launch.container.codec import EncodeError
+from play_launch.container.channel import ChannelClosedError, VersionMismatchError
+from play_launch.container.codec import ControlError, EncodeError
 from play_launch.container.messages import Hello as HelloMessage
 from play_launch.container.messages import Shutdown, Status, lock_holder
 from play_launch.runtime.container_messages import (
@@ -23,7 +23,6 @@ from play_launch.runtime.container_messages import (
 from play_launch.runtime.launcher import StartError
 from play_launch.runtime.probes import probe_nodes
 from play_launch.runtime.process_actor import ProcessActor
-from play_launch.runtime.publisher import report_shortfalls
 from play_launch.runtime.watch import ContainerWatch
 from play_launch.supervisor.events import ComponentEvent, NodeState
 from play_launch.supervisor.inputs import Faulty, Greeted, HealthReported, NodeReported
@@ -174,7 +173,7 @@ class ContainerActor(ProcessActor):
         shortfall = isolation_shortfall(config, hello)
         if shortfall and self._system.publisher.is_news(shortfall):
             _log.warning("%s: %s", self.name, shortfall)
-        self._check_resources(pid)
+        self._check(self.name, config.resources, pid)
 
     def _on_message(self, message: Incoming, start: int) -> None:
         if isinstance(message, HelloMessage):
@@ -191,7 +190,9 @@ class ContainerActor(ProcessActor):
             why = self._system.launcher.groups.leave(said.attempt) if ended else ""
             self._system.post(replace(said, reason=why, cause=Cause.OUT_OF_MEMORY) if why else said)
             if said.said in {NodeFact.LOADED, NodeFact.STATUS_LOADED} and said.attempt in nodes:
-                self._check_node(nodes[said.attempt].key)
+                node = self._system.world.nodes.get(nodes[said.attempt].key)
+                if node is not None and node.state is NodeState.LOADED:
+                    self._check(node.name, node.config.resources, node.pid)
 
     def _on_status(self, status: Status, start: int) -> bool:
         """Read what an answer tells of the container; whether it is all that it tells."""
@@ -213,13 +214,6 @@ class ContainerActor(ProcessActor):
         holder = lock_holder(locks[0]) if locks else 0
         self._system.post(HealthReported(self.name, start, *counts, locks, silences, holder))
         return True
-
-    def _check_node(self, key: NodeKey) -> None:
-        """Report what a node that is loaded did not get of its resources."""
-        node = self._system.world.nodes.get(key)
-        if node is not None and node.state is NodeState.LOADED:
-            report_shortfalls(key.name, node.config.resources, node.pid, self._system.publisher)
-            self._system.launcher.groups.check(key.name, node.pid)
 
     # Requests.
 

@@ -12,10 +12,11 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from play_launch.config.model import ContainerConfig, ContainerType
 from play_launch.config.substitutions import ament_prefixes
+from play_launch.container.cdr.layout import definitions
 from play_launch.container.channel import CONTROL_FD_VARIABLE, ControlChannel
 from play_launch.container.command import (
     ExecutableNotFoundError,
@@ -40,16 +41,13 @@ from play_launch.process.cgroups.group import Group, GroupError
 from play_launch.process.cgroups.session import SessionGroups
 from play_launch.process.cgroups.usage import usage_of
 from play_launch.process.child import INHERITED, spawn
-from play_launch.process.guard import SessionGuard
+from play_launch.process.guard import SessionGuard, SpawnError
 from play_launch.process.identity import read_stat
 from play_launch.process.kin import mark_for
 from play_launch.process.machine import (
-    SHARED_MEMORY_FIX,
     full_shared_memory,
     shared_memory_problem,
-    shared_memory_room,
 )
-from play_launch.process.program import SpawnError
 from play_launch.process.session import Shared
 from play_launch.process.stop import StopPolicy
 from play_launch.recording.facts import OURSELVES, package_version
@@ -175,6 +173,7 @@ class NativeLauncher:
             MixedInstallationError: When ROS is there twice.
             GroupError: When there are no control groups, which are required.
         """
+        definitions()  # so that no file is read in the event loop
         self._machine = Machine(ros_installation(), component_container(), os.environ)
         self._guard_program = spawn_guard()
         self._guards: list[SessionGuard] = []
@@ -191,9 +190,7 @@ class NativeLauncher:
         )
         """What the supervisor says to each container first."""
         self._prepare(config)
-        if self._uses_fastdds and (
-            short := shared_memory_problem(shared_memory_room(), _participants(config))
-        ):
+        if self._uses_fastdds and (short := shared_memory_problem(_participants(config))):
             _log.warning("%s", short)
 
     async def prepare(self, config: ReplayConfig) -> None:
@@ -212,8 +209,7 @@ class NativeLauncher:
             self._machine = replace(self._machine, allocator=found.library)
         self._prepare_stock(config)
         self.groups.prepare(config)
-        limits = config.stop
-        self.policy = StopPolicy(ask=limits.ask, sigint=limits.sigint, sigterm=limits.sigterm)
+        self.policy = StopPolicy(**asdict(config.stop))
         self._uses_fastdds |= any(
             asks_for_fastdds({**os.environ, **each.environment}) for each in config.members
         )
@@ -222,12 +218,11 @@ class NativeLauncher:
         if all(each.container_type is not ContainerType.STOCK for each in config.containers):
             return
         if self._stock is None:
-            if problem := full_shared_memory(shared_memory_room()):
+            if problem := full_shared_memory():
                 # It may have filled up since the start. Loading rcl is what maps it, and SIGBUS
                 # would end the supervisor without a word: no handler reaches the thread that gets
                 # it.
-                fix = f"nothing was started; fix: {SHARED_MEMORY_FIX}"
-                raise NotInstalledError(f"{problem}; {fix}")
+                raise NotInstalledError(f"nothing was started: {problem}")
             # A quarter of all modules of ours, for one type of container.
             from play_launch.runtime.stock_containers import StockContainers  # noqa: PLC0415
 

@@ -13,8 +13,8 @@ import anyio
 from msgspec.structs import replace
 
 from play_launch.config.model import ProcessConfig
+from play_launch.process.resources import held_resources, shortfalls
 from play_launch.runtime.launcher import StartError
-from play_launch.runtime.publisher import report_shortfalls
 from play_launch.supervisor.inputs import CleanedUp, Exited, NotStarted, Started, Unkillable
 from play_launch.supervisor.world import Exit, Phase
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from anyio.abc import TaskGroup
 
     from play_launch.config.model import ContainerConfig
+    from play_launch.config.resources import Resources
     from play_launch.process.lines import Line
     from play_launch.runtime.launcher import ManagedProcess
     from play_launch.runtime.system import System
@@ -140,7 +141,7 @@ class ProcessActor:
 
     def _has_started(self, start: int) -> None:
         del start
-        self._check_resources(self.pid)
+        self._check(self.name, self.config.resources, self.pid)
 
     def _ask_to_stop(self, reason: str) -> bool:
         del reason
@@ -162,9 +163,14 @@ class ProcessActor:
         if self._was_killed:
             await self._system.launcher.clean_up()
 
-    def _check_resources(self, pid: int) -> None:
-        report_shortfalls(self.name, self.config.resources, pid, self._system.publisher)
-        self._system.launcher.groups.check(self.name, pid)
+    def _check(self, name: str, wanted: Resources, pid: int) -> None:
+        """Report once each resource that the kernel refused; the process runs without it."""
+        held = held_resources(pid, wanted.limit_names) if wanted and pid else None
+        for shortfall in () if held is None else shortfalls(wanted, held):
+            text = f"{name}: {shortfall}"
+            if self._system.publisher.is_news(text):
+                _log.warning("%s", text)
+        self._system.launcher.groups.check(name, pid)
 
     def _on_output(self, stream: Stream, lines: Sequence[Line]) -> None:
         self._system.publisher.publish_output(self.name, self.pid, stream, lines)

@@ -6,7 +6,6 @@ import logging
 import time
 from typing import TYPE_CHECKING
 
-from play_launch.process.resources import held_resources, shortfalls
 from play_launch.supervisor.events import (
     REPORTED_LOGGER,
     ComponentEvent,
@@ -22,7 +21,6 @@ from play_launch.supervisor.view import SystemView
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from play_launch.config.resources import Resources
     from play_launch.process.lines import Line
     from play_launch.supervisor.events import RunEvent, Stream
     from play_launch.supervisor.view import StateSink
@@ -78,19 +76,6 @@ class Publisher:
                     truncated=line.truncated,
                 )
             )
-
-
-def report_shortfalls(name: str, wanted: Resources, pid: int, publisher: Publisher) -> None:
-    """Report once each resource that the kernel refused; the process runs without it."""
-    if not wanted or not pid:
-        return
-    held = held_resources(pid, wanted.limit_names)
-    if held is None:  # it has exited, which is reported anyway
-        return
-    for shortfall in shortfalls(wanted, held):
-        text = f"{name}: {shortfall}"
-        if publisher.is_news(text):
-            _log.warning("%s", text)
 
 
 _AWAITED = frozenset({NodeState.REQUESTED, NodeState.LOADING, NodeState.UNLOADING})

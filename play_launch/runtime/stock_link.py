@@ -19,8 +19,8 @@ import anyio
 from msgspec.structs import replace
 
 from play_launch.container import messages as m
-from play_launch.container.channel import ChannelClosedError, ControlError
-from play_launch.container.codec import EncodeError
+from play_launch.container.channel import ChannelClosedError
+from play_launch.container.codec import ControlError, EncodeError
 from play_launch.ros.parameters import to_parameter_message
 from play_launch.ros.thread import RosThreadError
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind

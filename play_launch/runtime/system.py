@@ -29,8 +29,6 @@ from play_launch.supervisor.world import STATE_OF_PHASE, Limits, Phase, World, i
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from anyio.abc import TaskGroup
-
     from play_launch.config.model import ReplayConfig
     from play_launch.config.node_key import NodeKey
     from play_launch.recording.decisions import DecisionLog
@@ -109,7 +107,16 @@ class System:
         self._is_busy = True
         try:
             while self._inputs or self._is_due():
-                self._process(self._inputs.popleft() if self._inputs else inputs.Time())
+                said = self._inputs.popleft() if self._inputs else inputs.Time()
+                now = self._loop.time()
+                jitter = random.getrandbits(16) / (1 << 16)  # 16 bits: each is recorded
+                if self._decisions is not None:
+                    self._decisions.add(now, said, jitter)
+                effects = reduce(self.world, said, now, jitter)
+                self._is_overdue = isinstance(said, inputs.Time) and not any(self.world.before)
+                self._publish(now, type(said).__name__)
+                for effect in effects:
+                    self._carry_out(effect)
         finally:
             self._is_busy = False
         self._settled()
@@ -119,24 +126,14 @@ class System:
         is_open = not self._is_overdue and not self._is_closed
         return due is not None and due <= self._loop.time() and is_open
 
-    def _process(self, said: Input) -> None:
-        now = self._loop.time()
-        jitter = random.getrandbits(16) / (1 << 16)  # 16 bits: each is recorded
-        if self._decisions is not None:
-            self._decisions.add(now, said, jitter)
-        effects = reduce(self.world, said, now, jitter)
-        self._is_overdue = isinstance(said, inputs.Time) and not any(self.world.before)
+    def _publish(self, now: float, cause: str) -> None:
+        """Publish what has changed."""
         try:
             stamp_ns = self.publisher.stamp_ns()
             for event in events_since(self.world, now=now, stamp_ns=stamp_ns):
                 self.publisher.publish(event)
         except Exception:  # noqa: BLE001 - what was decided is carried out all the same
-            _log.exception("what changed with %s could not be published", type(said).__name__)
-        for effect in effects:
-            try:
-                self._carry_out(effect)
-            except Exception as error:  # noqa: BLE001 - it is the failure of its unit alone
-                self.fail(getattr(effect, "unit", getattr(effect, "container", "")), error)
+            _log.exception("what changed with %s could not be published", cause)
 
     def fail(self, unit: str, error: Exception) -> None:
         """Give a unit up because of an exception of our own; the others go on."""
@@ -180,37 +177,42 @@ class System:
             self._set_timer()
 
     def _carry_out(self, effect: Effect) -> None:
-        match effect:
-            case inputs.Spawn():
-                self._actor(effect.unit).spawn(effect.start)
-            case inputs.Kill():
-                self._actor(effect.unit).kill(effect.start)
-            case inputs.Stop():
-                actor = self._actor(effect.unit)
-                actor.stop(effect.start, asks=effect.asks, reason=effect.reason)
-            case inputs.Load():
-                self._container(effect.node.container).load(effect.node, effect.attempt)
-            case inputs.Unload():
-                request = Cancel if effect.is_loading else Unload
-                self._container(effect.container).send(request(unique_id=effect.unique_id))
-            case inputs.Query():
-                self._container(effect.container).query(effect.about)
-            case inputs.Probe():
-                self._container(effect.container).probe(effect.nodes)
-            case inputs.Drive():
-                self._drive(effect)
-            case inputs.SetParameters():
-                self.tasks.begin(partial(self.applying.set_parameters, effect.step))
-            case StepOutcome():
-                self.applying.step_ended(effect)
-            case inputs.Log():
-                logger = _reported if effect.is_shown_otherwise else _log
-                logger.log(logging.ERROR if effect.is_error else logging.WARNING, "%s", effect.text)
-            case inputs.Raised():
-                self.fail(effect.unit, effect.error)
-            case inputs.End():
-                self.stop_requests.request(reason=effect.reason)
-                self.post(inputs.StopRequested(effect.reason))
+        try:
+            match effect:
+                case inputs.Spawn():
+                    self._actor(effect.unit).spawn(effect.start)
+                case inputs.Kill():
+                    self._actor(effect.unit).kill(effect.start)
+                case inputs.Stop():
+                    actor = self._actor(effect.unit)
+                    actor.stop(effect.start, asks=effect.asks, reason=effect.reason)
+                case inputs.Load():
+                    self._container(effect.node.container).load(effect.node, effect.attempt)
+                case inputs.Unload():
+                    request = Cancel if effect.is_loading else Unload
+                    self._container(effect.container).send(request(unique_id=effect.unique_id))
+                case inputs.Query():
+                    self._container(effect.container).query(effect.about)
+                case inputs.Probe():
+                    self._container(effect.container).probe(effect.nodes)
+                case inputs.Drive():
+                    self._drive(effect)
+                case inputs.SetParameters():
+                    self.tasks.begin(partial(self.applying.set_parameters, effect.step))
+                case StepOutcome():
+                    self.applying.step_ended(effect)
+                case inputs.Log():
+                    logger = _reported if effect.is_shown_otherwise else _log
+                    logger.log(
+                        logging.ERROR if effect.is_error else logging.WARNING, "%s", effect.text
+                    )
+                case inputs.Raised():
+                    self.fail(effect.unit, effect.error)
+                case inputs.End():
+                    self.stop_requests.request(reason=effect.reason)
+                    self.post(inputs.StopRequested(effect.reason))
+        except Exception as error:  # noqa: BLE001 - it is the failure of its unit alone
+            self.fail(getattr(effect, "unit", getattr(effect, "container", "")), error)
 
     def _drive(self, effect: inputs.Drive) -> None:
         """Begin a conversation with a node, request a transition, or end the conversation."""
@@ -337,15 +339,16 @@ class System:
     async def run(self) -> None:
         """Run it to its end, see `play_launch.runtime.run`."""
         until = None if self.config.duration is None else self._loop.time() + self.config.duration
-        now, stamp_ns = self._loop.time(), self.publisher.stamp_ns()
-        for event in events_since(self.world, now=now, stamp_ns=stamp_ns):
-            self.publisher.publish(event)
+        self._publish(self._loop.time(), "the configuration")
         self.stop_requests.on_request = self._note_end
         if self.stop_requests.requested.is_set():
             self._note_end()
         try:
             async with anyio.create_task_group() as tasks:
-                self._begin(tasks)
+                self.tasks.run_in(tasks)
+                self.tasks.begin(self.outside.run)
+                if not self.stop_requests.requested.is_set():
+                    self.post(inputs.Time())
                 with anyio.CancelScope(deadline=math.inf if until is None else until):
                     await self.stop_requests.requested.wait()
                 if not self.stop_requests.requested.is_set():
@@ -361,12 +364,6 @@ class System:
             await self.outside.close()
             if self._applying is not None:
                 await self._applying.close()
-
-    def _begin(self, tasks: TaskGroup) -> None:
-        self.tasks.run_in(tasks)
-        self.tasks.begin(self.outside.run)
-        if not self.stop_requests.requested.is_set():
-            self.post(inputs.Time())
 
     async def _hurry(self) -> None:
         await self.stop_requests.hurry.wait()

@@ -22,7 +22,7 @@ _log = logging.getLogger(__name__)
 
 _FIRST_QUERY: Final = 1 << 63
 """Numbers of the watchdog's queries begin here, those of queries about nodes at 1."""
-_ANSWERING: Final = frozenset({"control-read", "control-write"})
+_ANSWERING: Final = frozenset({"control-read"})
 """Threads of a container that have to run for an answer, see control/channel.cpp."""
 _REPORT_INTERVAL: Final = 10.0
 """Seconds between two reports of a count that grows."""

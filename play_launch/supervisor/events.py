@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from play_launch.supervisor.endpoints import Endpoint  # noqa: TC001 - a field of a Struct
 from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
@@ -292,6 +293,8 @@ class GraphChanged(_Event, frozen=True, kw_only=True):
     vanished: tuple[str, ...]
     nodes: int
     """How many there are now."""
+    endpoints_appeared: tuple[Endpoint, ...] = ()
+    endpoints_vanished: tuple[Endpoint, ...] = ()
 
 
 class ManagedNodeChanged(_Event, frozen=True, kw_only=True):

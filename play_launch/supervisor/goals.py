@@ -9,71 +9,56 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.model import Autostart
-from play_launch.supervisor.events import ManagedState, NodeState
+from play_launch.supervisor.events import UNDER_WAY, ManagedState, NodeState
 from play_launch.supervisor.inputs import Drive, Log, ManagedInput
+from play_launch.supervisor.transitions import table
 from play_launch.supervisor.world import Node, Process
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from play_launch.supervisor.inputs import GoalReported
     from play_launch.supervisor.reducer import Reduction
     from play_launch.supervisor.world import Goal, World
 
 
 State, Said = ManagedState, ManagedInput
-_Answers = dict[ManagedInput, ManagedState]
 
-_IS: Final[_Answers] = {
+_IS: Final = {
     Said.IS_UNCONFIGURED: State.UNCONFIGURED,
     Said.IS_INACTIVE: State.INACTIVE,
     Said.IS_ACTIVE: State.ACTIVE,
     Said.IS_FINALIZED: State.FINALIZED,
 }
-_EXISTS: Final[_Answers] = {Said.UP: State.ASKED, Said.GONE: State.ABSENT}
-_SETTLED: Final[_Answers] = {**_EXISTS, **_IS}
-"""Without a transition under way; other clients may change the state."""
-_WAITING: Final[_Answers] = {
-    **_SETTLED,
-    Said.IS_FINALIZED: State.FAILED,
-    Said.REFUSED: State.FAILED,
-    Said.OVERDUE: State.FAILED,
-}
+_IDLE: Final = frozenset(_IS.values())
+"""States without a transition under way; other clients may change them."""
+_EXISTS: Final = UNDER_WAY | _IDLE | {State.FAILED}
+_TALKED_ABOUT: Final = UNDER_WAY | {State.ABSENT}
 
-_TALKED_ABOUT: Final = {State.ABSENT, State.ASKED, State.CONFIGURING, State.ACTIVATING}
-
-TABLE: Final[Mapping[ManagedState, _Answers]] = {
-    State.ABSENT: {Said.UP: State.ASKED},
-    State.ASKED: {
-        **_WAITING,
-        Said.IS_UNCONFIGURED: State.CONFIGURING,
-        Said.IS_INACTIVE: State.ACTIVATING,
-    },
+TABLE: Final = table(
+    State,
+    Said,
+    (_EXISTS | {State.ABSENT}, Said.UP, State.ASKED),
+    (_EXISTS, Said.GONE, State.ABSENT),
+    (State.ABSENT, {*_IS, Said.GONE, Said.REFUSED, Said.OVERDUE}, None),
     # The state before the transition may be reported late.
-    State.CONFIGURING: {
-        **_WAITING,
-        Said.IS_UNCONFIGURED: State.CONFIGURING,
-        Said.IS_INACTIVE: State.ACTIVATING,
-    },
-    State.ACTIVATING: {
-        **_WAITING,
-        Said.IS_UNCONFIGURED: State.FAILED,
-        Said.IS_INACTIVE: State.ACTIVATING,
-    },
-    **dict.fromkeys((State.UNCONFIGURED, State.INACTIVE, State.ACTIVE, State.FINALIZED), _SETTLED),
+    ({State.ASKED, State.CONFIGURING}, Said.IS_UNCONFIGURED, State.CONFIGURING),
+    (UNDER_WAY, Said.IS_INACTIVE, State.ACTIVATING),
+    (State.ACTIVATING, Said.IS_UNCONFIGURED, State.FAILED),
+    (UNDER_WAY, Said.IS_ACTIVE, State.ACTIVE),
+    (UNDER_WAY, {Said.IS_FINALIZED, Said.REFUSED, Said.OVERDUE}, State.FAILED),
+    *((_IDLE, said, state) for said, state in _IS.items()),
+    (_IDLE, {Said.REFUSED, Said.OVERDUE}, None),
     # An operator may request the transition by hand.
-    State.FAILED: {
-        **_EXISTS,
-        Said.IS_INACTIVE: State.INACTIVE,
-        Said.IS_ACTIVE: State.ACTIVE,
-    },
-}
-"""The state that follows; an input that is not in a row changes nothing."""
+    (State.FAILED, Said.IS_INACTIVE, State.INACTIVE),
+    (State.FAILED, Said.IS_ACTIVE, State.ACTIVE),
+    (State.FAILED, {Said.IS_UNCONFIGURED, Said.IS_FINALIZED}, None),
+    (State.FAILED, {Said.REFUSED, Said.OVERDUE}, None),
+)
+"""The state that follows; None: it stays as it is."""
 
 
 def next_state(state: ManagedState, said: ManagedInput, goal: Autostart | None) -> ManagedState:
     """Apply one input; without a goal the node is only watched."""
-    then = TABLE[state].get(said, state)
+    then = TABLE[state][said] or state
     if then is State.ACTIVATING and state is not then and goal is not Autostart.ACTIVATE:
         return State.INACTIVE
     if goal is None:

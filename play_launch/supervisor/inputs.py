@@ -43,8 +43,8 @@ class _Input(Struct, frozen=True, tag=True, omit_defaults=True):
     pass
 
 
-class _Report(_Input, frozen=True):
-    """A report about one start of a process."""
+class Report(_Input, frozen=True):
+    """A report about one start of a process; about an earlier one, it changes nothing."""
 
     unit: str
     start: int
@@ -54,7 +54,7 @@ class Time(_Input, frozen=True):
     """The session begins, or something is due."""
 
 
-class Started(_Report, frozen=True):
+class Started(Report, frozen=True):
     """A process runs."""
 
     pid: int
@@ -62,7 +62,7 @@ class Started(_Report, frozen=True):
     argv: tuple[str, ...] = ()
 
 
-class NotStarted(_Report, frozen=True):
+class NotStarted(Report, frozen=True):
     """A process could not be started."""
 
     reason: str
@@ -70,13 +70,13 @@ class NotStarted(_Report, frozen=True):
     """Whether the next start would fail in the same way."""
 
 
-class Greeted(_Report, frozen=True):
+class Greeted(Report, frozen=True):
     """A container sent its hello message: it is ready."""
 
     hello: Hello
 
 
-class Faulty(_Report, frozen=True):
+class Faulty(Report, frozen=True):
     """A process has to be killed: it is frozen, or its control channel failed."""
 
     reason: str
@@ -85,17 +85,17 @@ class Faulty(_Report, frozen=True):
     cause: Cause = Cause.CHANNEL_FAILED
 
 
-class Exited(_Report, frozen=True):
+class Exited(Report, frozen=True):
     """A process exited, and all that it sent before was processed."""
 
     exit: Exit
 
 
-class CleanedUp(_Report, frozen=True):
+class CleanedUp(Report, frozen=True):
     """Nothing of an exited process is left."""
 
 
-class Unkillable(_Report, frozen=True):
+class Unkillable(Report, frozen=True):
     """A process lives on after the last signal of its stop."""
 
 
@@ -106,7 +106,7 @@ class Failed(_Input, frozen=True):
     reason: str
 
 
-class NodeReported(_Report, frozen=True, kw_only=True):
+class NodeReported(Report, frozen=True, kw_only=True):
     """A container reported something about one node."""
 
     said: NodeFact
@@ -121,7 +121,7 @@ class NodeReported(_Report, frozen=True, kw_only=True):
     cause: Cause = Cause.NONE
 
 
-class HealthReported(_Report, frozen=True):
+class HealthReported(Report, frozen=True):
     """A container reported its health in the answer to a query."""
 
     leaked: int = 0

@@ -8,9 +8,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 from msgspec import Struct
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
-from play_launch.config.description import describe
+from play_launch.config.description import described
 from play_launch.config.model import ComposableNodeConfig, ContainerConfig, ProcessConfig
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
 
 _Part = TypeVar("_Part", ContainerConfig, ProcessConfig, ComposableNodeConfig)
-_Described: TypeAlias = dict[str, Any]
+_Config: TypeAlias = "ContainerConfig | ProcessConfig | ComposableNodeConfig | ReplayConfig"
 _Id: TypeAlias = "tuple[PlanKind, str]"
 
 
@@ -240,12 +240,13 @@ _TAKEN_OVER: Final = {
 """Keys whose values the supervisor takes over."""
 _NO_DIFFERENCE: Final = {
     # Where a file is makes no difference, nor does the session's name, which is that of its file
-    # unless it is given; the environment is that of members, in their own descriptions.
+    # unless it is given; the environment is that of members, in their own configurations.
     PlanKind.SESSION: {
-        *("version", "name", "source", "included_files", "parameter_files", "taken", "environment"),
+        *("name", "source", "text", "included_files", "parameter_files", "taken", "environment"),
+        *("containers", "nodes"),
     },
-    PlanKind.CONTAINER: {"line", "file"},
-    PlanKind.COMPONENT: {"line", "file", "key", "full_name"},
+    PlanKind.CONTAINER: {"line", "file", "name", "namespace", "composable_nodes"},
+    PlanKind.COMPONENT: {"line", "file", "key"},
     PlanKind.PROCESS: {"line", "file"},
 }
 """Keys that are not compared."""
@@ -260,7 +261,7 @@ def plan(running: ReplayConfig, target: ReplayConfig, absent: Mapping[str, str] 
         absent: What is declared and not there, by its name as in `Step`, with the reason. All of
             it is brought up, whether or not its configuration differs.
     """
-    before, after = _described(running), _described(target)
+    before, after = _parts(running), _parts(target)
     steps: list[Step] = []
     renewed: set[str] = set()
     for kind, name in _ordered(before, after):
@@ -280,16 +281,14 @@ def plan(running: ReplayConfig, target: ReplayConfig, absent: Mapping[str, str] 
     return Plan(tuple(_with_origins(steps, before, after)))
 
 
-def _described(config: ReplayConfig) -> dict[_Id, _Described]:
-    """Describe containers, each before its nodes, processes, and the session."""
-    session: dict[str, Any] = describe(config)
-    found: dict[_Id, _Described] = {}
-    for container in session.pop("containers"):
-        nodes = container.pop("composable_nodes")
-        found[PlanKind.CONTAINER, container["full_name"]] = container
-        found |= {(PlanKind.COMPONENT, node["key"]): node for node in nodes}
-    found |= {(PlanKind.PROCESS, each["full_name"]): each for each in session.pop("nodes")}
-    return {**found, (PlanKind.SESSION, ""): session}
+def _parts(config: ReplayConfig) -> dict[_Id, _Config]:
+    """Give containers, each before its nodes, processes, and the session."""
+    found: dict[_Id, _Config] = {}
+    for container in config.containers:
+        found[PlanKind.CONTAINER, container.full_name] = container
+        found |= {(PlanKind.COMPONENT, str(each.key)): each for each in container.composable_nodes}
+    found |= {(PlanKind.PROCESS, each.full_name): each for each in config.nodes}
+    return {**found, (PlanKind.SESSION, ""): config}
 
 
 def _ordered(before: Iterable[_Id], after: Iterable[_Id]) -> list[_Id]:
@@ -326,14 +325,14 @@ def _steps(
 
 
 def _with_origins(
-    steps: Iterable[Step], before: Mapping[_Id, _Described], after: Mapping[_Id, _Described]
+    steps: Iterable[Step], before: Mapping[_Id, _Config], after: Mapping[_Id, _Config]
 ) -> Iterator[Step]:
     """Say which of those that are added is one that is removed, under another name or elsewhere."""
     parts = {PlanAction.REMOVE: before, PlanAction.ADD: after}
     alike: defaultdict[tuple[PlanKind, str], list[Step]] = defaultdict(list)
     for step in steps:
         if step.action in parts and step.kind is not PlanKind.CONTAINER:
-            values = parts[step.action][step.id].items()
+            values = asdict(parts[step.action][step.id]).items()
             likeness = repr({key: value for key, value in values if key not in _IDENTITY})
             alike[step.kind, likeness].append(step)
     reasons: dict[_Id, str] = {}
@@ -346,32 +345,28 @@ def _with_origins(
         yield replace(step, reason=reasons[step.id]) if step.id in reasons else step
 
 
-def differences(kind: PlanKind, before: _Described, after: _Described) -> Iterator[ItemChange]:
-    """Compare two descriptions of the same part."""
-    for key in _keys(before, after):
-        was: Any = before.get(key)
-        is_: Any = after.get(key)
-        if key in _NO_DIFFERENCE[kind]:
+def differences(kind: PlanKind, before: _Config, after: _Config) -> Iterator[ItemChange]:
+    """Compare two configurations of the same part."""
+    for key in before.__struct_fields__:
+        was, is_ = getattr(before, key), getattr(after, key)
+        if key in _NO_DIFFERENCE[kind] or was == is_:
             continue
+        was, is_ = described(key, was), described(key, is_)
         if key != _PARAMETERS:
             need = Need.NOTHING if key in _TAKEN_OVER[kind] else _SAFE[kind]
             yield from _values(key, was, is_, need)
             continue
-        for name in _keys(was, is_):
+        for name in dict.fromkeys((*was, *is_)):
             # What a node was given cannot be taken back from it, and one whose name is not
             # declared cannot be asked.
-            need = Need.SET if name in is_ and after.get("name") else _SAFE[kind]
+            need = Need.SET if name in is_ and after.name else _SAFE[kind]
             if was.get(name) != is_.get(name):
                 yield ItemChange(f"{_PARAMETERS}.{name}", was.get(name), is_.get(name), need)
 
 
 def _values(path: str, before: Any, after: Any, need: Need) -> Iterator[ItemChange]:
     if isinstance(before, dict) and isinstance(after, dict):
-        for key in _keys(before, after):
+        for key in dict.fromkeys((*before, *after)):
             yield from _values(f"{path}.{key}", before.get(key), after.get(key), need)
     elif before != after:
         yield ItemChange(path, before, after, need)
-
-
-def _keys(before: _Described, after: _Described) -> list[str]:
-    return list(dict.fromkeys((*before, *after)))

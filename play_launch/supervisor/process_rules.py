@@ -47,7 +47,7 @@ def apply(
 ) -> None:
     """Apply a fact to a process by the table; ``due`` is the deadline of the new phase."""
     before = step.process(name)
-    phase = PROCESS_TABLE[before.phase].get(fact, before.phase)
+    phase = PROCESS_TABLE[before.phase][fact] or before.phase
     if phase is not before.phase:
         outcome = outcome or _OUTCOMES.get(fact, Outcome())
         after = step.world.put(before, phase=phase, reason=reason, due=due, outcome=outcome)
@@ -135,7 +135,7 @@ def greeted(step: Reduction, said: inputs.Greeted) -> None:
 
 def faulty(step: Reduction, said: inputs.Faulty) -> None:
     process = step.process(said.unit)
-    if said.is_fatal and Fact.FAULTY in PROCESS_TABLE[process.phase]:
+    if said.is_fatal and PROCESS_TABLE[process.phase][Fact.FAULTY]:
         step.world.put(process, is_fatal=True)
     apply(step, said.unit, Fact.FAULTY, said.reason, outcome=Outcome(said.cause))
 
@@ -183,6 +183,12 @@ def unkillable(step: Reduction, said: inputs.Unkillable | Process) -> None:
     if process.exit is None:
         step.world.put(process, is_stuck=True)
         apply(step, process.name, Fact.STUCK, _STUCK)
+
+
+def failed(step: Reduction, said: inputs.Failed) -> None:
+    if said.unit in step.world.processes:
+        step.world.put(step.process(said.unit), wait=None)
+        apply(step, said.unit, Fact.FAILED, said.reason)
 
 
 def due(step: Reduction, name: str) -> None:

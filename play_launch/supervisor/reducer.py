@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from play_launch.supervisor import change, goals, inputs, node_rules, process_rules, quarantine
 from play_launch.supervisor.conditions import has_arrived, nothing_is_left, stopped_before
-from play_launch.supervisor.transitions import IDLE, Fact
+from play_launch.supervisor.transitions import IDLE
 from play_launch.supervisor.world import INACTIVE, Phase, Process
 
 if TYPE_CHECKING:
@@ -33,18 +33,6 @@ _ABOUT_ALL: Final = (
     inputs.Failed,
 )
 """Inputs that may concern any unit; others concern units that they change, and those that wait."""
-_OF_PROCESS: Final[Mapping[type, Callable[[Reduction, Any], None]]] = {
-    inputs.Started: process_rules.started,
-    inputs.NotStarted: process_rules.not_started,
-    inputs.Greeted: process_rules.greeted,
-    inputs.Faulty: process_rules.faulty,
-    inputs.Exited: process_rules.exited,
-    inputs.CleanedUp: process_rules.cleaned_up,
-    inputs.Unkillable: process_rules.unkillable,
-    inputs.NodeReported: node_rules.reported,
-    inputs.HealthReported: node_rules.health,
-}
-"""Reports about one start of a process; those about an earlier start change nothing."""
 _ROUNDS: Final = 100
 """Rounds in which one change of the world may lead to another; more are an error of the rules."""
 
@@ -95,8 +83,13 @@ class Reduction:
 def reduce(world: World, said: Input, now: float, chance: float = 0.5) -> list[Effect]:
     """Change the world as an input says, and give the effects that are to be carried out."""
     step = Reduction(world, now, chance)
+    unit = said.unit if isinstance(said, inputs.Report) else ""
     try:
-        _take(step, said)
+        if not isinstance(said, inputs.Report) or _is_current(world, said):
+            _RULES[type(said)](step, said)
+    except Exception as error:  # noqa: BLE001 - the other units continue
+        step.effects.append(inputs.Raised(unit, error))
+    try:
         _settle(step, is_about_all=isinstance(said, _ABOUT_ALL))
     except Exception as error:  # noqa: BLE001 - the effects until then are carried out
         step.effects.append(inputs.Raised("", error))
@@ -111,38 +104,26 @@ def deadline(world: World) -> float | None:
     return min((at for at in times if at is not None), default=None)
 
 
-def _take(step: Reduction, said: Input) -> None:
+def _is_current(world: World, said: inputs.Report) -> bool:
+    """Whether a report is about the latest start of a process; others change nothing."""
+    process = world.processes.get(said.unit)
+    return process is not None and process.attempt == said.start and process.is_present
+
+
+def _due(step: Reduction, _: inputs.Time) -> None:
+    _evaluate(step, _all(step.world), process_rules.due, node_rules.due)
+
+
+def _found(step: Reduction, said: inputs.Found) -> None:
+    step.world.met = said.met
+
+
+def _stop(step: Reduction, said: inputs.StopRequested) -> None:
     world = step.world
-    if (rule := _OF_PROCESS.get(type(said))) is not None:
-        report: Any = said
-        process = world.processes.get(report.unit)
-        if process is not None and process.attempt == report.start and process.is_present:
-            step.confine(report.unit, rule, report)
-        return
-    match said:
-        case inputs.Time():
-            _evaluate(step, _all(world), process_rules.due, node_rules.due)
-        case inputs.Failed():
-            if said.unit in world.processes:
-                world.put(step.process(said.unit), wait=None)
-                process_rules.apply(step, said.unit, Fact.FAILED, said.reason)
-        case inputs.Probed():
-            quarantine.probed(step, said)
-        case inputs.Found():
-            world.met = said.met
-        case inputs.GoalReported():
-            goals.reported(step, said)
-        case inputs.StopRequested():
-            world.is_hurried |= said.is_hurried
-            if not world.is_stopping and not said.is_hurried:
-                world.stop_reason = said.reason
-                world.stop_order = stopped_before(world)
-        case inputs.StartRequested() | inputs.EndRequested():
-            _operate(step, said)
-        case inputs.ChangeRequested():
-            change.begin(step, said)
-        case inputs.ParametersSet():
-            change.parameters_set(step, said)
+    world.is_hurried |= said.is_hurried
+    if not world.is_stopping and not said.is_hurried:
+        world.stop_reason = said.reason
+        world.stop_order = stopped_before(world)
 
 
 def _operate(step: Reduction, said: inputs.StartRequested | inputs.EndRequested) -> None:
@@ -169,6 +150,29 @@ def _operate(step: Reduction, said: inputs.StartRequested | inputs.EndRequested)
     released_at = step.now if unit.released_at is None else unit.released_at
     is_requested = unit.is_requested or is_new
     world.put(unit, released_at=released_at, is_requested=is_requested, **values)
+
+
+_RULES: Final[Mapping[type[Input], Callable[[Reduction, Any], None]]] = {
+    inputs.Started: process_rules.started,
+    inputs.NotStarted: process_rules.not_started,
+    inputs.Greeted: process_rules.greeted,
+    inputs.Faulty: process_rules.faulty,
+    inputs.Exited: process_rules.exited,
+    inputs.CleanedUp: process_rules.cleaned_up,
+    inputs.Unkillable: process_rules.unkillable,
+    inputs.Failed: process_rules.failed,
+    inputs.NodeReported: node_rules.reported,
+    inputs.HealthReported: node_rules.health,
+    inputs.Probed: quarantine.probed,
+    inputs.GoalReported: goals.reported,
+    inputs.Time: _due,
+    inputs.Found: _found,
+    inputs.StopRequested: _stop,
+    inputs.StartRequested: _operate,
+    inputs.EndRequested: _operate,
+    inputs.ChangeRequested: change.begin,
+    inputs.ParametersSet: change.parameters_set,
+}
 
 
 def _settle(step: Reduction, *, is_about_all: bool) -> None:

@@ -10,16 +10,48 @@ The container owns its nodes; their table is the supervisor's mirror of what it 
 
 from __future__ import annotations
 
-from enum import StrEnum, auto
-from typing import TYPE_CHECKING, Final, TypeAlias
+from enum import Enum, StrEnum, auto
+from itertools import product
+from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
 from play_launch.supervisor.events import NodeState as State
 from play_launch.supervisor.world import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from collections.abc import Set as AbstractSet
 
     from play_launch.supervisor.world import Node
+
+_State = TypeVar("_State", bound=Enum)
+_Fact = TypeVar("_Fact", bound=Enum)
+_Cell = TypeVar("_Cell")
+
+
+def table(
+    states: type[_State],
+    facts: type[_Fact],
+    *rows: tuple[_State | AbstractSet[_State], _Fact | AbstractSet[_Fact], _Cell | None],
+) -> dict[_State, dict[_Fact, _Cell | None]]:
+    """Make a table of rows: in which states, on which facts, what follows; None: nothing does.
+
+    Raises ValueError unless each cell is stated, and stated once; TypeError for another value.
+    """
+    made: dict[_State, dict[_Fact, _Cell | None]] = {state: {} for state in states}
+    for in_states, on_facts, cell in rows:
+        those = {in_states} if isinstance(in_states, Enum) else in_states
+        what = {on_facts} if isinstance(on_facts, Enum) else on_facts
+        for state, fact in product(those, what):
+            if not isinstance(state, states) or not isinstance(fact, facts):
+                raise TypeError(f"{state!r}, {fact!r}: no cell of {states} and {facts}")
+            if fact in made[state]:
+                raise ValueError(f"{state!r}, {fact!r}: stated twice")
+            made[state][fact] = cell
+    missing = [pair for pair in product(states, facts) if pair[1] not in made[pair[0]]]
+    if missing:
+        raise ValueError(f"not stated: {missing}")
+    return made
+
 
 # Containers and ordinary processes.
 
@@ -49,46 +81,42 @@ class Fact(StrEnum):
     """The supervisor's own code for it failed."""
 
 
-_Row: TypeAlias = "Mapping[Fact, Phase]"
-
 EXITS: Final = frozenset({Fact.RESTART, Fact.GIVE_UP, Fact.DONE})
-_FAILS: Final[_Row] = {Fact.FAILED: Phase.GAVE_UP}
-_RUNS: Final[_Row] = {
-    Fact.RESTART: Phase.BACKOFF,
-    Fact.GIVE_UP: Phase.GAVE_UP,
-    Fact.DONE: Phase.STOPPED,
-    Fact.STOP: Phase.STOPPING,
-    **_FAILS,
-}
+_ALIVE: Final = frozenset({Phase.SPAWNING, Phase.STARTING, Phase.RUNNING, Phase.KILLING})
+_PENDING: Final = frozenset({Phase.QUEUED, Phase.BACKOFF})
+_PHASES: Final = _ALIVE | _PENDING | {Phase.STOPPED, Phase.STOPPING, Phase.GAVE_UP}
 
-PROCESS_TABLE: Final[Mapping[Phase, _Row]] = {
-    Phase.STOPPED: {**_FAILS, Fact.START: Phase.QUEUED},
-    Phase.QUEUED: {
-        **_FAILS,
-        Fact.TURN: Phase.SPAWNING,
-        Fact.GIVE_UP: Phase.GAVE_UP,
-        Fact.STOP: Phase.STOPPED,
-    },
-    Phase.SPAWNING: {**_RUNS, Fact.STARTED: Phase.STARTING},
-    Phase.STARTING: {**_RUNS, Fact.READY: Phase.RUNNING, Fact.FAULTY: Phase.KILLING},
+PROCESS_TABLE: Final = table(
+    Phase,
+    Fact,
+    ({Phase.STOPPED, Phase.BACKOFF, Phase.GAVE_UP}, Fact.START, Phase.QUEUED),
+    (_ALIVE | {Phase.QUEUED, Phase.STOPPING}, Fact.START, None),
+    (Phase.QUEUED, Fact.TURN, Phase.SPAWNING),
+    (_PHASES - {Phase.QUEUED}, Fact.TURN, None),
+    (Phase.SPAWNING, Fact.STARTED, Phase.STARTING),
+    (_PHASES - {Phase.SPAWNING}, Fact.STARTED, None),
     # One hello for each process; a second one changes nothing.
-    Phase.RUNNING: {**_RUNS, Fact.FAULTY: Phase.KILLING},
+    (Phase.STARTING, Fact.READY, Phase.RUNNING),
+    (_PHASES - {Phase.STARTING}, Fact.READY, None),
     # A further fault changes nothing: its exit decides what follows.
-    Phase.KILLING: {**_RUNS, Fact.STUCK: Phase.GAVE_UP},
-    Phase.STOPPING: {
-        **_FAILS,
-        **dict.fromkeys(EXITS, Phase.STOPPED),
-        Fact.STUCK: Phase.GAVE_UP,
-    },
-    Phase.BACKOFF: {
-        **_FAILS,
-        Fact.START: Phase.QUEUED,
-        Fact.STOP: Phase.STOPPED,
-    },
-    # All else is ignored: it stays visible in the summary that it gave up.
-    Phase.GAVE_UP: {Fact.START: Phase.QUEUED},
-}
-"""The phase that follows; a fact that is not in a row leaves the phase as it is."""
+    ({Phase.STARTING, Phase.RUNNING}, Fact.FAULTY, Phase.KILLING),
+    (_PHASES - {Phase.STARTING, Phase.RUNNING}, Fact.FAULTY, None),
+    (_PENDING, Fact.STOP, Phase.STOPPED),
+    (_ALIVE, Fact.STOP, Phase.STOPPING),
+    ({Phase.STOPPED, Phase.STOPPING, Phase.GAVE_UP}, Fact.STOP, None),
+    (_ALIVE, Fact.RESTART, Phase.BACKOFF),
+    (_ALIVE | {Phase.QUEUED}, Fact.GIVE_UP, Phase.GAVE_UP),
+    (_ALIVE, Fact.DONE, Phase.STOPPED),
+    (Phase.STOPPING, EXITS, Phase.STOPPED),
+    (Phase.QUEUED, EXITS - {Fact.GIVE_UP}, None),
+    ({Phase.STOPPED, Phase.BACKOFF, Phase.GAVE_UP}, EXITS, None),
+    ({Phase.KILLING, Phase.STOPPING}, Fact.STUCK, Phase.GAVE_UP),
+    (_PHASES - {Phase.KILLING, Phase.STOPPING}, Fact.STUCK, None),
+    (_PHASES - {Phase.GAVE_UP}, Fact.FAILED, Phase.GAVE_UP),
+    # It stays visible in the summary that it gave up.
+    (Phase.GAVE_UP, Fact.FAILED, None),
+)
+"""The phase that follows; None: it stays as it is."""
 
 
 # Composable nodes.
@@ -137,105 +165,110 @@ class NodeAction(StrEnum):
     """Decide whether it is loaded again after a crash, or a reload that failed."""
 
 
-_NodeRow: TypeAlias = "Mapping[NodeFact, tuple[State, *tuple[NodeAction, ...]]]"
+_Then: TypeAlias = tuple[State, *tuple[NodeAction, ...]]
 
 AWAITED: Final = frozenset({State.REQUESTED, State.LOADING, State.UNLOADING})
 """States in which the container owes an answer."""
 LOADING: Final = frozenset({State.REQUESTED, State.LOADING})
-IDLE: Final = frozenset(State) - AWAITED - {State.LOADED}
+IDLE: Final = frozenset(
+    {
+        *(State.PENDING, State.LOAD_FAILED, State.UNLOADED),
+        *(State.CRASHED, State.GAVE_UP, State.LOST),
+    }
+)
 """States in which the container does not have it."""
-
-_LOAD: Final = (State.REQUESTED, NodeAction.LOAD)
-_FAILED: Final = (State.LOAD_FAILED, NodeAction.RESTART)
-_END_OF_LOAD: Final[_NodeRow] = {
-    NodeFact.LOADED: (State.LOADED,),
-    NodeFact.LOAD_FAILED: _FAILED,
-    NodeFact.UNLOADED: (State.UNLOADED,),
-    NodeFact.CRASHED: (State.CRASHED, NodeAction.RESTART),
-    NodeFact.CONTAINER_LOST: (State.LOST,),
-    NodeFact.STATUS_CONSTRUCTING: (State.LOADING,),
-    NodeFact.STATUS_LOADED: (State.LOADED,),
-    NodeFact.STATUS_UNLOADING: (State.UNLOADING,),
-    NodeFact.STATUS_UNKNOWN: (State.REQUESTED, NodeAction.LOAD_AGAIN),
+_DECISIONS: Final = frozenset({NodeFact.LOAD, NodeFact.REFUSED, NodeFact.GIVEN_UP})
+_STATUS: Final = frozenset(
+    {
+        *(NodeFact.STATUS_QUEUED, NodeFact.STATUS_CONSTRUCTING, NodeFact.STATUS_LOADED),
+        *(NodeFact.STATUS_UNLOADING, NodeFact.STATUS_UNKNOWN),
+    }
+)
+_REPORTS: Final = _STATUS | {
+    *(NodeFact.ACCEPTED, NodeFact.REJECTED, NodeFact.UNLOAD_REJECTED, NodeFact.LOADING),
+    *(NodeFact.LOADED, NodeFact.LOAD_FAILED, NodeFact.UNLOADED, NodeFact.CRASHED),
 }
-"""Whether the load was accepted or not: the reports in between may have been dropped."""
 
-NODE_TABLE: Final[Mapping[State, _NodeRow]] = {
-    State.PENDING: {
-        NodeFact.LOAD: _LOAD,
-        NodeFact.REFUSED: (State.LOAD_FAILED,),
-        NodeFact.LEAVE: (State.UNLOADED,),
-    },
-    State.REQUESTED: {
-        **_END_OF_LOAD,
-        NodeFact.ACCEPTED: (State.LOADING,),
-        NodeFact.LOADING: (State.LOADING,),
-        NodeFact.REJECTED: _FAILED,
-        NodeFact.SILENT: (State.REQUESTED, NodeAction.QUERY),
-        # Without a unique_id there is nothing to cancel yet; ACCEPTED brings it.
-        NodeFact.LEAVE: (State.UNLOADING,),
-    },
-    State.LOADING: {
-        **_END_OF_LOAD,
-        NodeFact.LEAVE: (State.UNLOADING, NodeAction.CANCEL),
-        NodeFact.SILENT: (State.LOADING, NodeAction.QUERY),
-        # It was accepted before: the two contradict each other.
-        NodeFact.REJECTED: (State.LOADING, NodeAction.QUERY),
-    },
-    State.LOADED: {
-        NodeFact.LEAVE: (State.UNLOADING, NodeAction.UNLOAD),
-        NodeFact.UNLOADED: (State.UNLOADED,),
-        NodeFact.CRASHED: (State.CRASHED, NodeAction.RESTART),
-        NodeFact.CONTAINER_LOST: (State.LOST,),
-        NodeFact.STATUS_UNLOADING: (State.UNLOADING,),
-        # An attempt that the container does not know after it was accepted never returns.
-        NodeFact.STATUS_UNKNOWN: (State.LOST,),
-        NodeFact.REJECTED: (State.LOADED, NodeAction.QUERY),
-        NodeFact.LOAD_FAILED: (State.LOADED, NodeAction.QUERY),
-    },
-    State.UNLOADING: {
-        NodeFact.ACCEPTED: (State.UNLOADING, NodeAction.CANCEL),
-        NodeFact.REJECTED: (State.UNLOADED,),
-        # The constructor was quicker than the cancellation.
-        NodeFact.LOADED: (State.UNLOADING, NodeAction.UNLOAD),
-        NodeFact.LOAD_FAILED: (State.UNLOADED,),
-        NodeFact.UNLOADED: (State.UNLOADED,),
-        NodeFact.CRASHED: (State.CRASHED,),
-        NodeFact.CONTAINER_LOST: (State.UNLOADED,),
-        NodeFact.UNLOAD_REJECTED: (State.UNLOADING, NodeAction.QUERY),
-        NodeFact.SILENT: (State.UNLOADING, NodeAction.QUERY),
-        # Whether the load was accepted may not have been known before.
-        NodeFact.STATUS_QUEUED: (State.UNLOADING, NodeAction.CANCEL),
-        NodeFact.STATUS_CONSTRUCTING: (State.UNLOADING, NodeAction.CANCEL),
-        NodeFact.STATUS_LOADED: (State.UNLOADING, NodeAction.UNLOAD),
-        NodeFact.STATUS_UNKNOWN: (State.UNLOADED,),
-    },
-    State.LOAD_FAILED: {
-        NodeFact.LOAD: _LOAD,
-        NodeFact.GIVEN_UP: (State.GAVE_UP,),
-        NodeFact.LEAVE: (State.UNLOADED,),
-    },
-    State.UNLOADED: {NodeFact.LOAD: _LOAD},
-    State.CRASHED: {
-        NodeFact.LOAD: _LOAD,
-        NodeFact.GIVEN_UP: (State.GAVE_UP,),
-        NodeFact.CONTAINER_LOST: (State.LOST,),
-        NodeFact.LEAVE: (State.UNLOADED,),
-    },
-    # It does not return with its container: it may be what brought that down.
-    State.GAVE_UP: {NodeFact.LOAD: _LOAD, NodeFact.LEAVE: (State.UNLOADED,)},
-    State.LOST: {
-        NodeFact.LOAD: _LOAD,
-        NodeFact.REFUSED: (State.LOAD_FAILED,),
-        NodeFact.LEAVE: (State.UNLOADED,),
-    },
-}
-"""The state that follows, and actions; a fact that is not in a row changes nothing."""
+NODE_TABLE: Final[Mapping[State, Mapping[NodeFact, _Then | None]]] = table(
+    State,
+    NodeFact,
+    # The container does not have it: reports are of an attempt that ended.
+    (IDLE, _REPORTS | {NodeFact.SILENT}, None),
+    (IDLE, NodeFact.LOAD, (State.REQUESTED, NodeAction.LOAD)),
+    ({State.PENDING, State.LOST}, NodeFact.REFUSED, (State.LOAD_FAILED,)),
+    (IDLE - {State.PENDING, State.LOST}, NodeFact.REFUSED, None),
+    ({State.LOAD_FAILED, State.CRASHED}, NodeFact.GIVEN_UP, (State.GAVE_UP,)),
+    (IDLE - {State.LOAD_FAILED, State.CRASHED}, NodeFact.GIVEN_UP, None),
+    (IDLE - {State.UNLOADED}, NodeFact.LEAVE, (State.UNLOADED,)),
+    (State.UNLOADED, NodeFact.LEAVE, None),
+    # One that gave up does not return with its container: it may be what brought that down.
+    (State.CRASHED, NodeFact.CONTAINER_LOST, (State.LOST,)),
+    (IDLE - {State.CRASHED}, NodeFact.CONTAINER_LOST, None),
+    # Whether the load was accepted or not: the reports in between may have been dropped.
+    (LOADING, NodeFact.LOADED, (State.LOADED,)),
+    (LOADING, NodeFact.LOAD_FAILED, (State.LOAD_FAILED, NodeAction.RESTART)),
+    (LOADING, NodeFact.UNLOADED, (State.UNLOADED,)),
+    (LOADING, NodeFact.CRASHED, (State.CRASHED, NodeAction.RESTART)),
+    (LOADING, NodeFact.CONTAINER_LOST, (State.LOST,)),
+    (LOADING, NodeFact.STATUS_CONSTRUCTING, (State.LOADING,)),
+    (LOADING, NodeFact.STATUS_LOADED, (State.LOADED,)),
+    (LOADING, NodeFact.STATUS_UNLOADING, (State.UNLOADING,)),
+    (LOADING, NodeFact.STATUS_UNKNOWN, (State.REQUESTED, NodeAction.LOAD_AGAIN)),
+    (LOADING, _DECISIONS | {NodeFact.UNLOAD_REJECTED, NodeFact.STATUS_QUEUED}, None),
+    (State.REQUESTED, {NodeFact.ACCEPTED, NodeFact.LOADING}, (State.LOADING,)),
+    (State.REQUESTED, NodeFact.REJECTED, (State.LOAD_FAILED, NodeAction.RESTART)),
+    (State.REQUESTED, NodeFact.SILENT, (State.REQUESTED, NodeAction.QUERY)),
+    # Without a unique_id there is nothing to cancel yet; ACCEPTED brings it.
+    (State.REQUESTED, NodeFact.LEAVE, (State.UNLOADING,)),
+    (State.LOADING, {NodeFact.ACCEPTED, NodeFact.LOADING}, None),
+    (State.LOADING, NodeFact.LEAVE, (State.UNLOADING, NodeAction.CANCEL)),
+    # After it was accepted, a rejection is a contradiction.
+    (State.LOADING, {NodeFact.SILENT, NodeFact.REJECTED}, (State.LOADING, NodeAction.QUERY)),
+    (State.LOADED, NodeFact.LEAVE, (State.UNLOADING, NodeAction.UNLOAD)),
+    (State.LOADED, NodeFact.UNLOADED, (State.UNLOADED,)),
+    (State.LOADED, NodeFact.CRASHED, (State.CRASHED, NodeAction.RESTART)),
+    # An attempt that the container does not know after it was accepted never returns.
+    (State.LOADED, {NodeFact.CONTAINER_LOST, NodeFact.STATUS_UNKNOWN}, (State.LOST,)),
+    (State.LOADED, NodeFact.STATUS_UNLOADING, (State.UNLOADING,)),
+    (
+        State.LOADED,
+        {NodeFact.REJECTED, NodeFact.LOAD_FAILED},
+        (State.LOADED, NodeAction.QUERY),
+    ),
+    (State.LOADED, _DECISIONS | {NodeFact.SILENT, NodeFact.UNLOAD_REJECTED}, None),
+    (State.LOADED, {NodeFact.ACCEPTED, NodeFact.LOADING, NodeFact.LOADED}, None),
+    (State.LOADED, _STATUS - {NodeFact.STATUS_UNLOADING, NodeFact.STATUS_UNKNOWN}, None),
+    (State.UNLOADING, NodeFact.ACCEPTED, (State.UNLOADING, NodeAction.CANCEL)),
+    # The constructor was quicker than the cancellation.
+    (
+        State.UNLOADING,
+        {NodeFact.LOADED, NodeFact.STATUS_LOADED},
+        (State.UNLOADING, NodeAction.UNLOAD),
+    ),
+    (State.UNLOADING, {NodeFact.REJECTED, NodeFact.LOAD_FAILED}, (State.UNLOADED,)),
+    (State.UNLOADING, {NodeFact.UNLOADED, NodeFact.CONTAINER_LOST}, (State.UNLOADED,)),
+    (State.UNLOADING, NodeFact.STATUS_UNKNOWN, (State.UNLOADED,)),
+    (State.UNLOADING, NodeFact.CRASHED, (State.CRASHED,)),
+    (
+        State.UNLOADING,
+        {NodeFact.UNLOAD_REJECTED, NodeFact.SILENT},
+        (State.UNLOADING, NodeAction.QUERY),
+    ),
+    # Whether the load was accepted may not have been known before.
+    (
+        State.UNLOADING,
+        {NodeFact.STATUS_QUEUED, NodeFact.STATUS_CONSTRUCTING},
+        (State.UNLOADING, NodeAction.CANCEL),
+    ),
+    (State.UNLOADING, _DECISIONS | {NodeFact.LEAVE, NodeFact.LOADING}, None),
+    (State.UNLOADING, NodeFact.STATUS_UNLOADING, None),
+)
+"""The state that follows, and actions; None: nothing does."""
 
 
 def next_state(node: Node, fact: NodeFact) -> tuple[State, tuple[NodeAction, ...]]:
     """Apply a fact to a node; a load that was sent twice and is unknown has failed."""
     if fact is NodeFact.STATUS_UNKNOWN and node.resent and node.state in LOADING:
         fact = NodeFact.LOAD_FAILED
-    state, *actions = NODE_TABLE[node.state].get(fact, (node.state,))
+    state, *actions = NODE_TABLE[node.state][fact] or (node.state,)
     return state, tuple(actions)

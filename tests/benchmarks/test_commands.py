@@ -12,11 +12,9 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from benchmarks.browser import find_browser
-from benchmarks.intra_process import DDS, ISOLATED, STANDARD
 from play_launch.postmortem.session import PastSession
 from play_launch.postmortem.timeline import read_timeline
 from play_launch.supervisor.outcome import Cause
-from tests.support.mounts import mounted
 
 ROOT = Path(__file__).parents[2]
 
@@ -53,33 +51,6 @@ def test_crashes(tmp_path: Path) -> None:
     for row in rows:
         assert row["event_ms"]["count"] == row["crashes"] >= row["wanted"], row
         assert not row["quiesced"] or (row["complete"] and row["missed"] == 0), row
-
-
-def test_images(tmp_path: Path) -> None:
-    names = [STANDARD, ISOLATED, DDS]
-    arguments = ("--rounds", "2", "--images", "5", "--variants", ";".join(names))
-    rows = stored(tmp_path, "intra_process", *arguments)
-    assert list(rows) == names
-    assert all(row["count"] == 10 and row["min"] > 0 for row in rows.values())
-
-
-def test_changes_and_orphans() -> None:
-    (parts,) = json.loads(run("apply", "--runs", "1", "--seconds", "0.5", "--json"))
-    assert set(parts) == {"nothing", "four changes", "a parameter"}
-    for part in parts.values():
-        assert (part["missing"], part["began_anew"]) == (0, 0)
-    mounted("true", "true")  # skips where the benchmark could not have its own /dev/shm
-    (trial,) = json.loads(run("orphans", "--trials", "1", "--json"))
-    assert trial["orphans"] == []
-
-
-def test_recorded_topics_and_samples() -> None:
-    name = "small at 1 kHz"
-    figures = json.loads(run("recorder", "--seconds", "1", "--json", "--cases", name))[name]
-    assert figures["messages/s"] > 0
-    small = ("--containers", "1", "--nodes", "2", "--runs", "1", "--settle", "0.5")
-    figures = json.loads(run("sampling", *small, "--seconds", "2", "--json"))
-    assert all(len(figures[kind]) == 1 for kind in ("sampled", "not sampled"))
 
 
 def test_the_page_of_a_long_session(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 The system has one container. What its node prints and how it ends comes from the environment
 variable ``STUB``: words out of ``deaf`` (ends on the second request only), ``flood`` (prints
-without end), ``slow`` (a second node never loads), ``ends`` (ends by itself), ``failing``,
+without end), ``slow`` (a second node never loads), ``ends`` (exits on its own), ``failing``,
 ``troubled`` (Python has something to report).
 """
 

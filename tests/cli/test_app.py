@@ -27,8 +27,10 @@ containers:
       - {package: p, plugin: "p::N", name: m}
 """
 _READERS = ("inspect", "report", "explain", "crashes", "compare", "rerun", "recover", "export")
-USED_BY = dict.fromkeys((*_READERS, "layout"), ("play_launch.cli.info",)) | dict.fromkeys(
-    ("inspect", "report"), ("play_launch.cli.info", "play_launch.cli.explain")
+USED_BY = (
+    dict.fromkeys((*_READERS, "layout"), ("play_launch.cli.info",))
+    | dict.fromkeys(("inspect", "report"), ("play_launch.cli.info", "play_launch.cli.explain"))
+    | {"graph": ("play_launch.cli.graph",)}
 )
 """Modules of other commands that a command uses."""
 BAD = "version: 1\ncontainers:\n  - nmae: c\n"

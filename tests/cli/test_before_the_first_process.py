@@ -18,7 +18,7 @@ containers:
     composable_nodes:
       - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}
 """
-# Ends as the first process would be started, and says what is imported then.
+# Ends as the first process would be started, and prints what is imported then.
 PROGRAM = """
 import json, os, sys
 def hook(event, arguments):

@@ -156,7 +156,7 @@ def test_a_full_pipe_holds_up_neither_the_run_nor_the_recording(
 ) -> None:
     process = start(stub="flood")
     read_until(process.stdout, "node is up")
-    # From here on nobody reads, and the pipe is full at once.
+    # From here on there is no reader, and the pipe is full at once.
     process.send_signal(signal.SIGTERM)
     while not bag(tmp_path).exists():
         assert process.poll() is None
@@ -265,5 +265,5 @@ def test_what_python_reports_is_shown_and_recorded_once(
         assert "[play-launch] " in line
         (message,) = [each for each in logged if text in each.msg]
         assert message.name == logger
-    # Nothing of it stands across the view: who writes there is named.
+    # Nothing of it stands across the view: its source is named.
     assert not any(line.startswith(("Traceback", "Exception", "Task")) for line in lines)

@@ -123,7 +123,7 @@ def test_what_is_no_recording_is_named(
     (line,) = result.stderr.splitlines()
     assert "it.mcap" in line
     assert "None" not in line
-    # `crashes` reads on, and says how many it found.
+    # `crashes` reads on, and counts what it found.
     assert result.stdout == "" or verb[0] == "crashes"
     assert sorted(tmp_path.rglob("*")) == before
 
@@ -386,7 +386,7 @@ def test_whoever_has_seen_enough_is_not_kept_waiting(tmp_path: Path) -> None:
     for number in range(20_000):
         made.line(number / 100, f"line {number}")
     path = made.record(tmp_path / "x.mcap")
-    # Its end is damaged: who reads it to the end complains.
+    # Its end is damaged: reading it to the end fails.
     path.write_bytes(path.read_bytes()[:-100])
     for option in ("--level=info", "--json"):
         result = finished([*HEAD, str(COMMAND), "inspect", option, str(path)])

@@ -17,7 +17,7 @@ CHANGES_ONLY = {"daemon patch", "daemon run", "daemon start", "daemon stop", "da
 WRITES_A_FILE = {
     *("completion", "export", "init", "layout", "recover", "report", "schema", "systemd-unit")
 }
-"""Or prints what is none of ours: a script, the layout of another tool, a schema, a unit."""
+"""Or prints what is not ours: a script, the layout of another tool, a schema, a unit."""
 SYSTEM = f"""{TALKER_AND_SLEEPER}
 record:
   before_crash: {{topics: [/chatter], seconds: 5 s}}

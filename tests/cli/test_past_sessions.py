@@ -101,7 +101,7 @@ def test_inspect_shows_what_happened_in_order(bag: Path) -> None:
     [
         (["--level", "error"], CRASH),
         (["--level", "warn", "--node", "/b*"], ["/talker crashed: SIGSEGV"]),
-        (["--node", "/nobody"], []),
+        (["--node", "/absent"], []),
         (["--until", "1ms", "--level", "warn", "--node", "/talker"], CRASH),
         (["--since", "1h"], []),
         (["--around", "1h"], []),

@@ -164,7 +164,7 @@ def test_crashes_that_both_sessions_have_are_counted(tmp_path: Path) -> None:
     back = json.loads(run("compare", more, fewer, "--json").stdout)
     assert not back["worse"]
     (crash,) = back["fewer_crashes"]
-    assert (crash["before"], crash["after"], crash["who"]) == (3, 1, ["/talker"])
+    assert (crash["before"], crash["after"], crash["units"]) == (3, 1, ["/talker"])
     assert "fewer crashes: " in run("compare", more, fewer).stdout
     same = run("compare", more, more)
     assert "crash" not in same.stdout

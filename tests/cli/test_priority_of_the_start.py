@@ -71,7 +71,7 @@ def test_ahead_until_all_is_loaded_and_again_from_the_stop_on(
         assert "along" not in bench.calls
         bench.publisher.publish(node("/c", 0, NodeState.LOADED))
         await bench.called(1, "along")
-        # A node that is loaded again disturbs nobody.
+        # A node that is loaded again disturbs no other.
         bench.publisher.publish(node("/c", 0, NodeState.LOADING))
         seen = len(bench.calls)
         with contextlib.suppress(TimeoutError):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from play_launch.config import schema as keys
@@ -113,19 +113,16 @@ def test_text(text: str) -> None:
     check(text.encode("utf-8", "surrogatepass"))
 
 
-@settings(max_examples=300)
 @given(st.lists(FRAGMENTS, max_size=30).map("".join))
 def test_pieces_of_yaml(text: str) -> None:
     check(text.encode())
 
 
-@settings(max_examples=300)
 @given(TREES)
 def test_trees(tree: object) -> None:
     check(yaml.safe_dump(tree, allow_unicode=True).encode("utf-8", "surrogatepass"))
 
 
-@settings(max_examples=300)
 @given(
     st.fixed_dictionaries(
         {"version": st.just(1)},
@@ -144,7 +141,6 @@ def test_trees_of_the_right_shape(tree: object) -> None:
     check(yaml.safe_dump(tree).encode())
 
 
-@settings(max_examples=300)
 @given(st.integers(0, len(FULL)), st.integers(0, 5), FRAGMENTS | st.text(max_size=3))
 def test_a_good_file_with_a_slip(at: int, dropped: int, inserted: str) -> None:
     check((FULL[:at] + inserted + FULL[at + dropped :]).encode("utf-8", "surrogatepass"))

@@ -1,4 +1,4 @@
-"""Files that include others: what becomes of both, and where mistakes are reported."""
+"""Files that include others: the result, and where mistakes are reported."""
 
 from __future__ import annotations
 
@@ -168,10 +168,10 @@ def test_one_file_twice_with_arguments() -> None:
         "main.yaml": "version: 1\ninclude:\n- {file: c.yaml, arguments: {side: left}}\n"
         "- {file: c.yaml, arguments: {side: right, rate: 2}}\n",
         "c.yaml": "version: 1\ninclude: d.yaml\nnodes:\n- name: ${arg:side}\n"
-        "  command: [x, '${arg:rate:-1}', '${arg:who}']\n",
+        "  command: [x, '${arg:rate:-1}', '${arg:name}']\n",
         "d.yaml": "version: 1\nnodes: [{name: 'd_${arg:side}', command: [d]}]\n",
     }
-    config = read(files, who="me")
+    config = read(files, name="me")
     assert [(node.name, node.command) for node in config.nodes] == [
         ("d_left", ("d",)),
         ("left", ("x", "1", "me")),

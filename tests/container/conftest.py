@@ -12,9 +12,9 @@ import shutil
 import signal
 import socket
 import subprocess
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from play_launch_msgs.msg import ControlHello
@@ -25,9 +25,6 @@ from play_launch.container.ros import component_container, ros_installation
 from play_launch.ros.fastdds.shared_memory import sweep
 from tests.support.control_peer import Container, StartContainer
 from tests.support.ros import Probe
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
 
 SOURCES = Path(__file__).parent / "rclcpp_components"
 

@@ -1,11 +1,10 @@
-"""The control channel: what the container answers, in which order, and to whom it listens."""
+"""The control channel: what the container answers, in which order, and which peers it accepts."""
 
 from __future__ import annotations
 
 import os
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from play_launch_msgs.msg import (
@@ -19,12 +18,12 @@ from play_launch_msgs.msg import (
     ControlUnload,
     NodeStatus,
 )
+from rcl_interfaces.srv import GetParameters
 from rclpy.serialization import serialize_message
 
+from tests.support.control_peer import OUTGOING, Container, StartContainer, frame
 from tests.support.isolated import start_time
-
-if TYPE_CHECKING:
-    from tests.support.control_peer import Container, StartContainer
+from tests.support.ros import LATCHED, Probe
 
 LOADED, UNLOADED = ComponentEvent.LOADED, ComponentEvent.UNLOADED
 LOAD_FAILED, LOADING = ComponentEvent.LOAD_FAILED, ComponentEvent.LOADING
@@ -223,8 +222,8 @@ def test_a_peer_that_does_not_read_blocks_nobody(spawn: StartContainer) -> None:
     for number in range(20):
         container.loaded("Talker", node_name=f"talker_{number}")
     assert container.peer is not None
-    for _ in range(20_000):
-        container.send(ControlQuery())
+    query = frame(OUTGOING[ControlQuery], serialize_message(ControlQuery()))
+    container.send_bytes(query * 20_000)
     talker = container.load("Talker", node_name="one_more")
     # Whatever was answered by now may have been dropped. Once some of the queue is read there is
     # room for new answers.
@@ -234,3 +233,32 @@ def test_a_peer_that_does_not_read_blocks_nobody(spawn: StartContainer) -> None:
     assert status.dropped_frames > 0
     assert talker in {node.attempt for node in status.nodes}
     assert container.shut_down() == 0
+
+
+EVENTS = "/container/_container/component_events"
+
+
+def test_events_before_the_topic_was_offered_are_published(container: Container) -> None:
+    loaded = container.loaded("Talker", node_name="early")
+    with Probe() as probe:
+        events = probe.collect(ComponentEvent, EVENTS, count=2, qos=LATCHED)
+        assert [(e.event_type, e.unique_id) for e in events] == [
+            (LOADING, loaded.unique_id),
+            (LOADED, loaded.unique_id),
+        ]
+        assert probe.nodes() == [("/early", loaded.unique_id)]
+        request = GetParameters.Request(names=["thread_num"])
+        answer = probe.call(GetParameters, "/container/get_parameters", request)
+        assert answer.values[0].integer_value == 0
+
+
+def test_a_container_without_loads_offers_its_services(container: Container) -> None:
+    assert container.status().nodes == []
+    with Probe() as probe:
+        assert probe.nodes() == []
+
+
+def test_it_ends_in_order_before_it_has_offered_anything(spawn: StartContainer) -> None:
+    container = spawn("--isolated")
+    container.process.terminate()
+    assert container.process.wait(20) == 0, container.log.read_text()

@@ -16,18 +16,15 @@ from signal import (
     SIGTERM,
     SIGUSR1,
 )
-from typing import TYPE_CHECKING
 
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlUnload
 from std_msgs.msg import String
 
+from tests.support.control_peer import Container, StartContainer
 from tests.support.isolated import MODES, is_gone, only_these_remain, start, survives
+from tests.support.ros import Probe
 from tests.support.waiting import until
-
-if TYPE_CHECKING:
-    from tests.support.control_peer import Container, StartContainer
-    from tests.support.ros import Probe
 
 LOADED, LOAD_FAILED, CRASHED, UNLOADED = (
     ComponentEvent.LOADED,
@@ -75,7 +72,7 @@ def assert_cleaned_up(
     With `may_leak` one more may be left; returns how many are.
     """
     status = container.status_when(
-        lambda status: status.undertaken + status.leaked == crashes, "the burials"
+        lambda status: status.undertaken + status.leaked == crashes, "the cleanup"
     )
     assert status.crashes == crashes
     assert leaked <= status.leaked <= leaked + may_leak, container.log.read_text()

@@ -7,17 +7,13 @@ from __future__ import annotations
 
 import os
 import signal
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlStatus, ControlUnload
 
+from tests.support.control_peer import Container, StartContainer
 from tests.support.isolated import MODES, start, survives
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.support.control_peer import Container, StartContainer
 
 CRASHED, LOAD_FAILED = ComponentEvent.CRASHED, ComponentEvent.LOAD_FAILED
 UNLOADED = ComponentEvent.UNLOADED

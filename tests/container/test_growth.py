@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING
 
 import psutil
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlUnload
 
+from tests.support.control_peer import Container, StartContainer
 from tests.support.isolated import ALL_MODES, MODES, only_these_remain, start, survives
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tests.support.control_peer import Container, StartContainer
-
-CYCLES = 400
-WARM_UP = 100
+CYCLES = 240
+WARM_UP = 60
 """Cycles after which the container has what it needs."""
 SAMPLE_EVERY = 10
 WAYS = ("segv", "abrt", "exception")

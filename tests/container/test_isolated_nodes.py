@@ -1,19 +1,22 @@
-"""Isolated nodes that behave: processes of their own, messages by pointer all the same."""
+"""Isolated nodes: processes of their own, messages by pointer, and one end of each life."""
 
 from __future__ import annotations
 
 import os
+import random
+import select
 import signal
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
-from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload
+from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload, NodeStatus
 from std_msgs.msg import String
 
-from play_launch.container.environment import find_allocator
+from play_launch.ros.fastdds.shared_memory import sweep
+from tests.support.control_peer import TIMEOUT, Container, StartContainer
 from tests.support.isolated import (
     MODES,
+    allocator_environment,
     children,
     is_gone,
     only_these_remain,
@@ -23,16 +26,23 @@ from tests.support.isolated import (
 )
 from tests.support.ros import Probe
 
-if TYPE_CHECKING:
-    from tests.support.control_peer import Container, StartContainer
-
 LOADED, UNLOADED = ComponentEvent.LOADED, ComponentEvent.UNLOADED
 LOADING, CRASHED = ComponentEvent.LOADING, ComponentEvent.CRASHED
+LOAD_FAILED = ComponentEvent.LOAD_FAILED
 FOREVER = {"seconds": 3600.0}
 BY_POINTER = {"use_intra_process_comms": True}
 
 both_modes = pytest.mark.parametrize("mode", MODES)
 both_mechanisms = pytest.mark.parametrize("mechanism", ["shared_memory", "process"])
+each_way_to_unload = pytest.mark.parametrize(
+    ("mode", "mechanism", "how"),
+    [
+        ("isolated", "shared_memory", ControlUnload),
+        ("isolated", "process", ControlCancel),
+        ("isolated_mt", "shared_memory", ControlCancel),
+        ("isolated_mt", "process", ControlUnload),
+    ],
+)
 
 
 def unload(container: Container, unique_id: int) -> ComponentEvent:
@@ -81,16 +91,6 @@ def test_every_node_is_a_process(spawn: StartContainer, mode: str, mechanism: st
         assert (status.crashes, status.undertaken, status.leaked, status.unquiesced) == (0,) * 4
 
 
-@both_modes
-def test_the_hello_tells_the_mechanism(spawn: StartContainer, mode: str) -> None:
-    container = start(spawn, mode)
-    (hello,) = container.seen
-    assert (hello.mode, hello.mechanism) == (mode, "shared_memory")
-    assert bool(hello.notes) is (find_allocator().library is None)
-    assert hello.thread_num == (1 if mode == "isolated" else min(max(os.cpu_count() or 2, 2), 4))
-    assert container.shut_down() == 0
-
-
 def test_glibc_malloc_is_noted(spawn: StartContainer) -> None:
     container = spawn("--isolated", environment={"LD_PRELOAD": ""})
     (hello,) = container.seen
@@ -127,9 +127,7 @@ def test_messages_go_by_pointer_between_processes(spawn: StartContainer, mode: s
         assert not is_gone(sink.pid)
 
 
-@both_modes
-@both_mechanisms
-@pytest.mark.parametrize("how", [ControlUnload, ControlCancel])
+@each_way_to_unload
 def test_a_node_is_unloaded_while_it_constructs(
     spawn: StartContainer, mode: str, mechanism: str, how: type[ControlUnload | ControlCancel]
 ) -> None:
@@ -146,9 +144,7 @@ def test_a_node_is_unloaded_while_it_constructs(
         container.loaded("Talker", node_name="slow")
 
 
-@both_modes
-@pytest.mark.parametrize("how", [ControlUnload, ControlCancel])
-@both_mechanisms
+@each_way_to_unload
 def test_a_node_whose_constructor_hangs_is_unloaded(
     spawn: StartContainer, mode: str, mechanism: str, how: type[ControlUnload | ControlCancel]
 ) -> None:
@@ -160,9 +156,241 @@ def test_a_node_whose_constructor_hangs_is_unloaded(
         container.send(how(unique_id=loading.unique_id))
         gone = container.event(UNLOADED, attempt=attempt)
         assert gone.error_message.startswith("cancelled; it did not leave in order: ")
-        # A container of its own ends by itself, unless it is told to stop before it can.
+        # A container of its own exits unasked, unless it is told to stop before it can.
         assert gone.signal in (
             {signal.SIGTERM} if mechanism == "shared_memory" else {0, signal.SIGTERM}
         )
         assert only_these_remain(container)
         container.loaded("Talker", node_name="slow")
+
+
+def start_separate(spawn: StartContainer, mode: str = "isolated") -> Container:
+    return start(spawn, mode, "--isolation", "process")
+
+
+@pytest.mark.parametrize(("how", "number"), [("segv", 11), ("kill", 9), ("exit", 0)])
+def test_a_crash_is_told(spawn: StartContainer, package: str, how: str, number: int) -> None:
+    container = start_separate(spawn)
+    with survives(container), Probe() as probe:
+        talker = container.loaded("Talker", package=package)
+        crasher = container.loaded("Crasher", package=package)
+        assert len({talker.pid, crasher.pid, container.process.pid}) == 3
+        order = probe.node.create_publisher(String, "/crash", 1)
+        probe.spin_until(
+            lambda: order.get_subscription_count() > 0, TIMEOUT, "the crasher's subscription"
+        )
+        order.publish(String(data=how))
+        crashed = container.event(CRASHED, unique_id=crasher.unique_id)
+        assert (crashed.signal, crashed.exit_code) == (number, 0 if number else 3)
+        assert (crashed.pid, crashed.start_time) == (crasher.pid, crasher.start_time)
+        probe.collect(String, "/chatter", 3)
+        assert only_these_remain(container, talker.pid)
+        assert container.status().crashes == 1
+    sweep()  # as the supervisor does: the dead node's participant was its own
+
+
+def test_a_helper_that_outlives_its_node_does_not_hide_the_crash(spawn: StartContainer) -> None:
+    """It holds the node's end of the channel open."""
+    container = start_separate(spawn)
+    with survives(container), Probe() as probe:
+        forker = container.loaded("Forker")
+        (helper,) = children(container) - {forker.pid}
+        handle = os.pidfd_open(helper)
+        try:
+            order = probe.node.create_publisher(String, "/crash", 1)
+            probe.spin_until(
+                lambda: order.get_subscription_count() > 0, TIMEOUT, "the node's subscription"
+            )
+            order.publish(String())
+            crashed = container.event(CRASHED, unique_id=forker.unique_id)
+            assert (crashed.pid, crashed.exit_code) == (forker.pid, 3)
+            assert not select.select([handle], [], [], 0)[0], "the helper did not outlive its node"
+        finally:
+            signal.pidfd_send_signal(handle, signal.SIGKILL)
+            ended, _, _ = select.select([handle], [], [], TIMEOUT)
+            os.close(handle)
+        assert ended
+        assert only_these_remain(container)
+
+
+def test_what_fails_while_loading(spawn: StartContainer) -> None:
+    container = start_separate(spawn)
+    with survives(container):
+        container.load("ThrowingConstructor")
+        assert "no such camera" in container.event(LOAD_FAILED).error_message
+        container.load("Crasher", parameters={"in_constructor": True})
+        failed = container.event(LOAD_FAILED)
+        assert failed.signal == signal.SIGSEGV
+        assert "SIGSEGV" in failed.error_message
+        assert only_these_remain(container)
+
+
+GONE = "/no/such/group"
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_node_that_is_kept_out(spawn: StartContainer, mode: str) -> None:
+    container = start(spawn, mode)
+    with survives(container):
+        # Without the word, it runs where it is.
+        container.loaded("Talker", node_name="anywhere", resources=[f"cgroup {GONE}"])
+        attempt = container.load("Talker", resources=[f"required_cgroup {GONE}"])
+        failed = container.event(LOAD_FAILED, attempt=attempt)
+        reason = "the kernel did not let it into its control group, which is required"
+        assert reason in failed.error_message
+        attempt = container.load("Talker", resources=["nice five"])
+        failed = container.event(LOAD_FAILED, attempt=attempt)
+        assert "'nice five' is no setting of a process" in failed.error_message
+
+
+ENDS = {LOAD_FAILED, UNLOADED, CRASHED}
+LIVES = [
+    [LOADING, LOAD_FAILED],
+    [LOADING, UNLOADED],
+    [LOADING, LOADED, UNLOADED],
+    [LOADING, LOADED, CRASHED],
+]
+EVERY_WAY = {"standard": (), **MODES, "process": (*MODES["isolated"], "--isolation", "process")}
+
+
+def end_of(container: Container, attempt: int) -> ComponentEvent:
+    return container.until(
+        lambda m: isinstance(m, ComponentEvent) and m.attempt == attempt and m.event_type in ENDS,
+        f"the end of attempt {attempt}",
+    )
+
+
+def lives(container: Container) -> list[list[int]]:
+    """Return the types of the events of each attempt, once the container is silent."""
+    container.status()
+    told: dict[int, list[int]] = {}
+    for message in container.seen:
+        if isinstance(message, ComponentEvent):
+            told.setdefault(message.attempt, []).append(message.event_type)
+    return list(told.values())
+
+
+@pytest.mark.parametrize("way", EVERY_WAY)
+def test_many_that_turn_out_to_have_one_name_stay(spawn: StartContainer, way: str) -> None:
+    container = spawn(*EVERY_WAY[way], environment=allocator_environment())
+    count = 4 if way == "process" else 12
+    with survives(container):
+        # Their names are only known once they are constructed.
+        attempts = [container.load("Talker") for _ in range(count)]
+        outcomes: list[ComponentEvent] = []
+        while len(outcomes) < count:
+            outcomes.append(
+                container.until(
+                    lambda m: isinstance(m, ComponentEvent) and m.event_type != LOADING,
+                    "the outcomes",
+                )
+            )
+        assert {event.attempt for event in outcomes} == set(attempts)
+        assert {(event.event_type, event.full_node_name) for event in outcomes} == {
+            (LOADED, "/talker")
+        }
+        status = container.status()
+        assert len(status.nodes) == count
+        assert status.crashes == 0
+
+
+@both_modes
+@pytest.mark.parametrize(
+    ("place", "end", "text"),
+    [
+        ("before_construct", LOAD_FAILED, "died while it was constructed"),
+        ("after_construct", LOAD_FAILED, "died while it was constructed"),
+        ("before_unload", UNLOADED, "it did not leave in order"),
+    ],
+)
+def test_a_node_is_killed_at_a_certain_place(
+    spawn: StartContainer, mode: str, place: str, end: int, text: str
+) -> None:
+    container = start(spawn, mode, failpoints=f"container.{place}=kill")
+    with survives(container):
+        attempt = container.load("Talker")
+        if end == UNLOADED:
+            loaded = container.event(LOADED, attempt=attempt)
+            container.send(ControlUnload(unique_id=loaded.unique_id))
+        event = end_of(container, attempt)
+        assert (event.event_type, event.signal) == (end, signal.SIGKILL)
+        assert text in event.error_message
+        assert only_these_remain(container)
+        status = container.status_when(
+            lambda status: status.undertaken + status.leaked > 0, "the cleanup"
+        )
+        assert status.crashes == status.unquiesced == 1
+        assert all(life in LIVES for life in lives(container))
+
+
+@both_modes
+@pytest.mark.parametrize(
+    ("how", "end", "signum", "code"),
+    [
+        ("segv", CRASHED, signal.SIGSEGV, 0),
+        ("exception", CRASHED, signal.SIGABRT, 0),
+        ("exit", CRASHED, 0, 3),
+        ("kill", UNLOADED, signal.SIGKILL, 0),
+        ("term", UNLOADED, signal.SIGTERM, 0),
+    ],
+)
+def test_a_destructor_that_faults_is_a_crash(
+    spawn: StartContainer, mode: str, how: str, end: int, signum: int, code: int
+) -> None:
+    container = start(spawn, mode)
+    with survives(container):
+        node = container.loaded("Crasher", parameters={"how": how, "in_destructor": True})
+        container.send(ControlUnload(unique_id=node.unique_id))
+        event = end_of(container, node.attempt)
+        assert (event.event_type, event.signal, event.exit_code) == (end, signum, code)
+        assert event.error_message.startswith("it did not leave in order")
+        assert bool(event.backtrace) == (how in {"segv", "exception"})
+        assert only_these_remain(container)
+
+
+def terminate(node: NodeStatus) -> None:
+    """Send SIGTERM to that process, if it is still there."""
+    try:
+        handle = os.pidfd_open(node.pid)
+    except ProcessLookupError:
+        return
+    try:
+        if start_time(node.pid) == node.start_time:
+            signal.pidfd_send_signal(handle, signal.SIGTERM)
+    except (ProcessLookupError, FileNotFoundError):
+        pass
+    finally:
+        os.close(handle)
+
+
+@both_modes
+def test_a_signal_ends_nodes_at_any_instant(spawn: StartContainer, mode: str) -> None:
+    """From before they construct until after they have left."""
+    container = start(spawn, mode)
+    with survives(container):
+        chance = random.Random(7)
+        keeper = container.loaded("Talker")
+        for number in range(60):
+            attempt = container.load(
+                "SlowConstructor", parameters={"seconds": chance.random() * 3e-3}
+            )
+            loading = container.event(LOADING, attempt=attempt)
+            if number % 3 == 0:
+                container.send(ControlCancel(unique_id=loading.unique_id))
+            for _ in range(chance.randrange(30)):
+                container.status()
+            for node in container.status(loading.unique_id).nodes:
+                if node.pid != container.process.pid:
+                    terminate(node)
+                else:  # it has no process yet
+                    container.send(ControlUnload(unique_id=loading.unique_id))
+            if not any(
+                isinstance(m, ComponentEvent) and m.attempt == attempt and m.event_type in ENDS
+                for m in container.seen
+            ):
+                end_of(container, attempt)
+        (kept, *others) = lives(container)
+        assert kept == [LOADING, LOADED]
+        assert len(others) == 60
+        assert all(life in LIVES for life in others)
+        assert only_these_remain(container, keeper.pid)

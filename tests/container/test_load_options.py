@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters
 from std_msgs.msg import String
 
-from tests.support.control_peer import parameter
+from tests.support.control_peer import StartContainer, parameter
 from tests.support.isolated import ALL_MODES, start
-from tests.support.ros import LATCHED
-
-if TYPE_CHECKING:
-    from tests.support.control_peer import StartContainer
-    from tests.support.ros import Probe
+from tests.support.ros import LATCHED, Probe
 
 TYPED: dict[str, tuple[int, str, Any]] = {
     "a_bool": (ParameterType.PARAMETER_BOOL, "bool_value", True),

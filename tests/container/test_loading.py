@@ -5,17 +5,15 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import psutil
 import pytest
 from play_launch_msgs.msg import ComponentEvent
 
+from tests.support.control_peer import Container, StartContainer
 from tests.support.isolated import ALL_MODES, MODES, children, only_these_remain, start, survives
-
-if TYPE_CHECKING:
-    from tests.support.control_peer import Container, StartContainer
-    from tests.support.ros import Probe
+from tests.support.ros import Probe
 
 LOADED, UNLOADED, LOAD_FAILED = (
     ComponentEvent.LOADED,
@@ -45,8 +43,8 @@ def test_many_loads_at_once(spawn: StartContainer, package: str, mode: str) -> N
 
 Failure = tuple[str, dict[str, Any], list[str]]
 FAILURES: list[Failure] = [
-    ("Nobody", {"package": "no_such_package"}, ["'no_such_package' has no components"]),
-    ("Nobody", {}, ["Nobody", "{package}::Talker"]),
+    ("Absent", {"package": "no_such_package"}, ["'no_such_package' has no components"]),
+    ("Absent", {}, ["Absent", "{package}::Talker"]),
     ("ThrowingConstructor", {}, ["camera"]),
     ("Talker", {"parameters": {"rate": "fast"}}, ["rate"]),
     ("Talker", {"extra_arguments": {"use_intra_process_comms": 1}}, ["a boolean"]),
@@ -129,16 +127,6 @@ def test_of_a_failure_s_long_text_the_beginning_is_reported(container: Container
     container.loaded("Talker")
 
 
-def test_an_exception_in_a_callback_ends_the_container_by_name(spawn: StartContainer) -> None:
-    container = spawn()
-    container.load("Crasher", node_name="bad_one", parameters={"how": "exception", "after": 0.0})
-    assert container.wait() == -6
-    log = container.log.read_text()
-    assert "FATAL" in log
-    assert "bad_one" in log
-    assert "thrown on purpose" in log
-
-
 def test_nodes_start_programs_without_our_signals(container: Container) -> None:
     lines = Path(f"/proc/{container.process.pid}/status").read_text().splitlines()
     status = dict(line.split(":\t", 1) for line in lines if ":\t" in line)
@@ -171,3 +159,19 @@ def test_a_container_without_descriptors_says_so_and_not_that_there_is_no_packag
     assert "cannot search the ament index: Too many open files" in event.error_message
     process.rlimit(psutil.RLIMIT_NOFILE, limit)
     container.loaded("Talker", node_name="one_too_many")
+
+
+def test_a_node_for_which_no_thread_can_be_had_fails_to_load_and_the_next_one_does_not(
+    container: Container,
+) -> None:
+    container.loaded("Talker", node_name="talker")
+    process = psutil.Process(container.process.pid)
+    limit = process.rlimit(psutil.RLIMIT_AS)
+    # Less than the stack of a thread, and more than anything else that a load needs.
+    process.rlimit(psutil.RLIMIT_AS, (process.memory_info().vms + (4 << 20), limit[1]))
+    attempts = [container.load("SlowConstructor", parameters={"seconds": 3600.0}) for _ in range(4)]
+    event = container.event(LOAD_FAILED)
+    assert event.attempt in attempts
+    assert "cannot start loading: Resource temporarily unavailable" in event.error_message
+    process.rlimit(psutil.RLIMIT_AS, limit)
+    container.loaded("Talker", node_name="another")

@@ -6,16 +6,13 @@ import os
 import re
 import signal
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlHello, ControlUnload
 
+from tests.support.control_peer import Container, StartContainer
 from tests.support.isolated import MODES, start, survives
 from tests.support.waiting import until
-
-if TYPE_CHECKING:
-    from tests.support.control_peer import Container, StartContainer
 
 CRASHED, UNLOADED, LOAD_FAILED = (
     ComponentEvent.CRASHED,
@@ -92,12 +89,6 @@ def test_ordinary_processes_need_no_keys(spawn: StartContainer) -> None:
     assert not hello(container).notes
     container.loaded("Mapper")
     assert container.shut_down() == 0
-
-
-def test_an_unknown_choice_is_refused(spawn: StartContainer) -> None:
-    container = spawn("--isolated", "--memory_domains", "on", greet=False)
-    assert container.wait() == 64
-    assert "--memory_domains on: expected off, auto or required" in container.log.read_text()
 
 
 @needs_keys
@@ -180,7 +171,7 @@ def test_a_node_without_a_key_of_its_own_is_refused_where_that_is_required(
 
 
 def ended(container: Container, attempt: int) -> ComponentEvent:
-    """What came of a load."""
+    """Result of a load."""
     found = container.until(
         lambda each: (
             isinstance(each, ComponentEvent)

@@ -8,21 +8,16 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from std_msgs.msg import String
 
 from play_launch.ros.fastdds.shared_memory import sweep
-from tests.support.control_peer import PATIENCE
+from tests.support.control_peer import TIMEOUT, StartContainer
 from tests.support.isolated import ALL_MODES, start
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from tests.support.control_peer import StartContainer
-    from tests.support.ros import Probe
+from tests.support.ros import Probe
 
 pytestmark = pytest.mark.needs_packages("ros2component", "composition")
 
@@ -34,7 +29,7 @@ UNSEEN = "Unable to find container node"
 def run_ros2(*arguments: str) -> subprocess.CompletedProcess[str]:
     program = shutil.which("ros2")
     assert program is not None, "ros2 is not in PATH"
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + TIMEOUT
     while True:
         done = subprocess.run(
             [program, *arguments], capture_output=True, text=True, timeout=120, check=False
@@ -68,7 +63,7 @@ def test_types(spawn: StartContainer) -> None:
 @pytest.mark.parametrize("mode", ALL_MODES)
 def test_list_load_unload(spawn: StartContainer, mode: str, probe: Probe) -> None:
     container = start(spawn, mode)
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + TIMEOUT
     while ros2("component", "list").split() != ["/container"]:
         assert time.monotonic() < deadline, "the container is not in the list"
     load = ("component", "load", "/container", "composition")
@@ -94,9 +89,9 @@ def test_list_load_unload(spawn: StartContainer, mode: str, probe: Probe) -> Non
 
 def test_what_cannot_be_loaded_is_told(spawn: StartContainer) -> None:
     start(spawn, "standard")
-    done = run_ros2("component", "load", "/container", "composition", "composition::Nobody")
+    done = run_ros2("component", "load", "/container", "composition", "composition::Absent")
     assert done.returncode != 0
-    assert "has no component 'composition::nobody'" in done.stderr.lower()
+    assert "has no component 'composition::absent'" in done.stderr.lower()
 
 
 @pytest.mark.needs_packages("ros2run", "ros2interface")

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import signal
-from typing import TYPE_CHECKING
 
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload, NodeStatus
 
+from tests.support.control_peer import Container, StartContainer
 from tests.support.isolated import ALL_MODES, MODES, start
 from tests.support.ros import Probe
-
-if TYPE_CHECKING:
-    from tests.support.control_peer import Container, StartContainer
 
 LOADED, UNLOADED, CRASHED = (
     ComponentEvent.LOADED,

@@ -5,14 +5,12 @@ from __future__ import annotations
 import signal
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlShutdown, ControlUnload
 
-from tests.support.control_peer import PAUSE
+from tests.support.control_peer import PAUSE, Container, StartContainer
 from tests.support.isolated import (
-    ALL_MODES,
     MODES,
     children,
     is_gone,
@@ -20,9 +18,6 @@ from tests.support.isolated import (
     survives,
 )
 from tests.support.shared_memory import segments_of
-
-if TYPE_CHECKING:
-    from tests.support.control_peer import Container, StartContainer
 
 UNLOADED, LOADING = ComponentEvent.UNLOADED, ComponentEvent.LOADING
 FOREVER = {"seconds": 3600.0}
@@ -51,8 +46,18 @@ def assert_nothing_left(pids: set[int], shared: set[Path]) -> None:
     assert not any(path.exists() for path in shared)
 
 
-@pytest.mark.parametrize("mode", ALL_MODES)
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, None])
+@pytest.mark.parametrize(
+    ("mode", "how"),
+    [
+        ("standard", signal.SIGINT),
+        ("standard", None),
+        ("mt", signal.SIGHUP),
+        ("isolated", signal.SIGTERM),
+        ("isolated", signal.SIGHUP),
+        ("isolated_mt", signal.SIGINT),
+        ("isolated_mt", None),
+    ],
+)
 def test_a_stop_unloads_everything(
     spawn: StartContainer, mode: str, how: signal.Signals | None
 ) -> None:
@@ -83,7 +88,6 @@ def test_a_container_without_control_channel_stops_too(spawn: StartContainer) ->
     assert container.wait() == 0
 
 
-@pytest.mark.alone
 @pytest.mark.parametrize(
     ("mode", "mechanism"),
     [
@@ -238,4 +242,4 @@ def test_a_node_that_does_not_leave_is_ended(spawn: StartContainer, mode: str) -
         assert gone.signal == signal.SIGTERM
         assert "leave" in gone.error_message
         assert is_gone(stuck.pid)
-        container.status_when(lambda status: status.undertaken > 0, "the burial")
+        container.status_when(lambda status: status.undertaken > 0, "the cleanup")

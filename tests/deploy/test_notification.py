@@ -25,7 +25,7 @@ def test_what_is_said_is_heard(listening: Listening) -> None:
         assert manager.watchdog == 30
         assert manager.notify("READY=1", "STATUS=größer \udcff")
         assert listening.hear() == ["READY=1", "STATUS=größer ?"]
-        # Nobody else gets it.
+        # No other process gets it.
         assert environ == {"HOME": "/x"}
         assert claim(environ) is None
 

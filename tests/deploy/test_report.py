@@ -28,7 +28,7 @@ from .listening import Listening, closing
 
 
 class Slow(FakeContainer):
-    """Its nodes are constructed when somebody says so."""
+    """Its nodes are constructed on request."""
 
     def construct(self, held: Held) -> None:
         self.waiting = held
@@ -94,7 +94,7 @@ def test_ready_is_said_when_everything_is_up_or_failed_for_good(tmp_path: Path) 
             assert [each for each in said if each.startswith("STATUS=")][-1].startswith(
                 "STATUS=starting, pending: /slow:/n; 1 of 2 nodes loaded"
             )
-            # It hangs nowhere, so the manager is to have patience.
+            # It hangs nowhere, so the manager is to wait.
             assert said.count("EXTEND_TIMEOUT_USEC=30000000") >= 9
             slow(launcher).let_go()
             await one.until_loaded(2)

@@ -87,7 +87,7 @@ def test_systemd_accepts_it(tmp_path: Path, for_user: bool) -> None:
 
 def test_a_slow_machine_has_time_to_start() -> None:
     found = settings_of(unit_text(service()))
-    # More than systemd gives by itself, which is 90 s, and only to the first pulse.
+    # More than systemd's default of 90 s, and only to the first pulse.
     assert int(found["Service.TimeoutStartSec"][0]) >= 120
     assert int(found["Service.WatchdogSec"][0]) < 120
 

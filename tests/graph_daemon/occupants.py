@@ -79,7 +79,7 @@ def other(port: int) -> None:
 
 
 def impostor(port: int) -> None:
-    """Have the methods of our daemon, and a status that is none of its own."""
+    """Have the methods of our daemon, and a status of another form."""
     server = Stock(("127.0.0.1", port), Handler, logRequests=False)
     server.register_introspection_functions()
     server.register_function(lambda: "_ros2cli_daemon_0_stand-in", "get_name")

@@ -15,9 +15,7 @@ import pytest
 
 from play_launch.graph_daemon.contract import STATUS_METHOD, DaemonAddress
 from play_launch.graph_daemon.http_head import LONGEST_BODY as LARGEST_BODY
-from play_launch.graph_daemon.http_server import ServerLimits
 from tests.graph_daemon.wire import ask, post, read, request_body
-from tests.support.waiting import until
 
 MEMORY = 150 * 1024 * 1024
 """Bytes by which abuse may let the daemon grow: its own limit of 64 MiB, and room to breathe."""
@@ -54,22 +52,6 @@ def connect(address: DaemonAddress) -> socket.socket:
 def call(method: str) -> bytes:
     body = request_body(method, [])
     return b"POST /ros2cli/ HTTP/1.1\r\nContent-Length: %d\r\n\r\n%b" % (len(body), body)
-
-
-def test_silent_connections(abused: DaemonAddress) -> None:
-    silent = [connect(abused) for _ in range(200)]
-    until(lambda: json.loads(ask(abused, STATUS_METHOD))["connections"] >= 200, "all connections")
-    assert ask(abused, "get_namespace") == "/"
-    for client in silent:
-        client.close()
-
-
-def test_more_connections_than_there_may_be(abused: DaemonAddress) -> None:
-    with contextlib.ExitStack() as stack:
-        for _ in range(ServerLimits().connections + 300):
-            stack.enter_context(connect(abused))
-        until(lambda: json.loads(ask(abused, STATUS_METHOD))["resets"] >= 300, "resets")
-        assert ask(abused, "get_namespace") == "/"
 
 
 def test_clients_that_never_read(abused: DaemonAddress) -> None:

@@ -1,25 +1,28 @@
-"""`play-launch daemon start | status | stop`, as commands."""
+"""`play-launch daemon` and the clients of the graph, as commands with a real daemon."""
 
 from __future__ import annotations
 
 import json
 import os
 import re
+import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from play_launch.cli.daemon import describe
-from play_launch.graph_daemon.contract import DaemonAddress
-from play_launch.graph_daemon.port import OwnerKind, PortOwner, stop_daemon
+from play_launch.graph_daemon.contract import LISTENING, STATUS_METHOD, DaemonAddress
+from play_launch.graph_daemon.port import stop_daemon
+from play_launch.graph_daemon.start_stop import start_daemon
+from play_launch.graph_daemon.warm_up import LONGEST_WARM_UP
 from tests.graph_daemon.occupants import end_daemons, occupied
-from tests.support.replay import run
+from tests.graph_daemon.wire import ask
+from tests.support.replay import finished, run
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMAND = Path(sys.executable).parent / "play-launch"
 
 
 def command(*words: str, **environment: str) -> tuple[int, str, str]:
@@ -81,7 +84,7 @@ def test_the_status_for_machines_names_everything(address: DaemonAddress) -> Non
     assert status["idle_timeout"] == 600.0
     assert status["settings"]["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     assert status["warnings"] == []
-    # Whom the caller's processes would meet is another matter.
+    # Which nodes the caller's processes would discover is another matter.
     code, out, err = command("status", "--json", ROS_AUTOMATIC_DISCOVERY_RANGE="OFF")
     (warning,) = json.loads(out)["warnings"]
     assert (code, err) == (0, "")
@@ -120,16 +123,105 @@ def test_a_domain_that_is_none_is_a_mistake_in_usage(verb: str) -> None:
     assert "ROS_DOMAIN_ID is a number from 0 to 232" in err
 
 
-def test_a_time_that_is_none_is_a_mistake_in_usage() -> None:
-    code, _, err = command("start", "--idle-timeout", "soon")
-    assert code == 2
-    assert "--idle-timeout" in err
+PROCESSES = 6
+PROGRAM = """
+import sys, rclpy
+rclpy.init()
+node = rclpy.create_node(sys.argv[1])
+print("up", flush=True)
+sys.stdin.read()
+rclpy.shutdown()
+"""
 
 
-@pytest.mark.parametrize("kind", list(OwnerKind))
-def test_every_owner_is_described(kind: OwnerKind) -> None:
-    owner = PortOwner(kind, 7, "nc -l", problem="it is silent")
-    (first, *_) = describe(DaemonAddress(3), owner)
-    assert "domain 3" in first
-    if kind is not OwnerKind.FREE:
-        assert "7" in first
+def test_the_first_answer_names_every_node(address: DaemonAddress, logs: object) -> None:
+    names = [f"early_{number}" for number in range(PROCESSES)]
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, name], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        for name in names
+    ]
+    for process in processes:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"up\n"
+    started = start_daemon(address, wait_for=LISTENING)
+    try:
+        seen = {name for name, _ in ask(address, "get_node_names_and_namespaces")}
+        status = json.loads(ask(address, STATUS_METHOD))
+        assert status["warm"]
+        # A machine under such a load that discovery takes longer is not kept waiting without end.
+        assert seen >= set(names) or status["age"] >= LONGEST_WARM_UP
+        assert status["participants_here"] == PROCESSES + 1
+    finally:
+        stop_daemon(address)
+        assert started.process is not None
+        started.process.wait(60)
+        for process in processes:
+            process.communicate(timeout=60)
+
+
+LIMIT = 120.0
+COMMAND = "from play_launch.cli.entry import main; main()"
+NODE = """
+import sys
+import rclpy
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+rclpy.init()
+node = rclpy.create_node("seen", namespace="/thin")
+publisher = node.create_publisher(String, "chatter", 10)
+service = node.create_service(Trigger, "~/trigger", lambda request, response: response)
+print("up", flush=True)
+sys.stdin.read()
+rclpy.shutdown()
+"""
+
+
+def client(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return finished([sys.executable, "-c", COMMAND, *arguments])
+
+
+def output(*arguments: str) -> str:
+    outcome = client(*arguments)
+    assert outcome.returncode == 0, outcome.stderr
+    return outcome.stdout
+
+
+def until_shown(line: str, *arguments: str) -> None:
+    """Ask until ``line`` is there: what a node has is discovered after the node itself."""
+    deadline = time.monotonic() + LIMIT
+    while line not in (shown := output(*arguments)):
+        assert time.monotonic() < deadline, shown
+
+
+@pytest.fixture
+def _node() -> Iterator[None]:
+    """A node in this test's domain; the daemon is ended together with it."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", NODE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "up\n"
+        yield
+    finally:
+        stopped = client("daemon", "stop")
+        process.communicate(timeout=LIMIT)
+    assert stopped.returncode == 0, stopped.stderr
+
+
+@pytest.mark.usefixtures("_node")
+def test_the_graph_is_shown_and_the_daemon_started_for_it() -> None:
+    assert client("node", "list", "--no-start").returncode == 1
+    first = client("node", "list")
+    assert first.returncode == 0, first.stderr
+    assert "starting the graph daemon" in first.stderr
+
+    assert first.stdout == "/thin/seen\n"
+    until_shown("/thin/chatter [std_msgs/msg/String]\n", "topic", "list", "-t")
+    until_shown("/thin/seen/trigger [std_srvs/srv/Trigger]\n", "service", "list", "-t")
+    facts = json.loads(output("node", "info", "/thin/seen", "--json"))
+    assert {"name": "/thin/chatter", "types": ["std_msgs/msg/String"]} in facts["publishers"]
+    assert "/thin/seen/trigger" in [entry["name"] for entry in facts["service_servers"]]
+    assert facts["action_clients"] == []

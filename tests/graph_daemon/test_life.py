@@ -44,7 +44,7 @@ def _ended(address: DaemonAddress, logs: Path) -> Iterator[None]:
 
 def sweep_after_a_kill() -> None:
     """Remove what a killed daemon leaves in shared memory, as the next replay would."""
-    sweep()  # or somebody else has, meanwhile
+    sweep()  # or another process has, meanwhile
 
 
 def gone(started: StartedDaemon) -> int:
@@ -60,19 +60,6 @@ def stock_can_start(address: DaemonAddress) -> bool:
         except OSError:
             return False
     return True
-
-
-def test_a_start_a_second_start_and_a_stop(address: DaemonAddress) -> None:
-    first = start_daemon(address)
-    assert first.started
-    assert find_owner(address).kind is OwnerKind.OURS
-    second = start_daemon(address)
-    assert not second.started
-    assert second.pid == first.pid
-    assert second.messages == ()
-    assert stop_daemon(address).kind is OwnerKind.OURS
-    assert stock_can_start(address)
-    assert gone(first) == 0
 
 
 def test_it_is_detached_from_its_starter(address: DaemonAddress, tmp_path: Path) -> None:
@@ -149,7 +136,10 @@ def test_a_port_in_time_wait_is_waited_for(other_domain: int) -> None:
 
     address = DaemonAddress(other_domain)
     with occupied("time_wait", address.port) as process:
-        assert ask(address, "get_name") == "_ros2cli_daemon_0_stand-in"
+        with socket.create_connection((address.host, address.port)) as client:
+            client.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            while client.recv(4096):  # to the end: the side that closes first waits
+                pass
         with pytest.raises(NoticeError):
             start_daemon(address, notify=notify)
         assert process.wait(WAIT) == 0

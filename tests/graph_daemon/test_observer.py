@@ -8,13 +8,11 @@ import logging
 import os
 import signal
 import time
-from collections import Counter
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import strategies as st
 
 from play_launch.graph_daemon import observer
 from play_launch.graph_daemon.contract import DaemonAddress
@@ -34,8 +32,6 @@ from play_launch.ros.fastdds.shared_memory import sweep
 from play_launch.supervisor.events import GraphChanged, RunEvent
 from tests.graph_daemon.occupants import occupied
 from tests.support.ros import Probe
-
-names = st.lists(st.sampled_from(["/a", "/b", "/c"])).map(Counter)
 
 
 class Heard:
@@ -90,7 +86,7 @@ def _ended(address: DaemonAddress, logs: Path) -> Iterator[None]:
 def test_nodes_that_come_and_go_are_published(address: DaemonAddress) -> None:
     async def scenario(heard: Heard) -> None:
         async with observed(heard):
-            # When no session asks any more, the daemon does not stay for ever.
+            # Without questions of any session the daemon ends.
             assert (await ours(address)).status["idle_timeout"] == ORPHAN_TIMEOUT
             before = time.time_ns()
             probe = await asyncio.to_thread(Probe, "visitor")

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 
-RUNNER = Path(__file__).parent / "run"
-SKIPPED = 77
+from tests.guest.__main__ import SKIPPED, main
+
 LIMIT = 4000
 
 
-@pytest.mark.skipif(
-    shutil.which("qemu-system-x86_64") is None, reason="qemu-system-x86_64 is not installed"
-)
+def in_a_virtual_machine(capsys: pytest.CaptureFixture[str], *arguments: str) -> None:
+    """Skip the test where there is none."""
+    status = main(arguments)
+    output = capsys.readouterr().out
+    if status == SKIPPED:
+        pytest.skip(output.strip())
+    assert status == 0, output
+
+
 @pytest.mark.timeout(LIMIT)
-def test_cases_in_a_virtual_machine() -> None:
-    ended = subprocess.run(
-        [sys.executable, RUNNER], capture_output=True, text=True, timeout=LIMIT, check=False
-    )
-    if ended.returncode == SKIPPED:
-        pytest.skip(ended.stdout.strip())
-    assert ended.returncode == 0, ended.stdout + ended.stderr
+def test_cases_in_a_virtual_machine(capsys: pytest.CaptureFixture[str]) -> None:
+    in_a_virtual_machine(capsys)

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
 
 from benchmarks import correspondence
 from benchmarks.correspondence import Letters, noticed
-from tests.support.replay import Replay, replaying, run
+from tests.support.replay import COMMAND, Replay, replaying, run
 from tests.support.scenes import written
 from tests.support.waiting import until
 
@@ -209,3 +213,202 @@ def test_a_recording_is_not_watched(tmp_path: Path) -> None:
     result = run("replay", tmp_path / "session.mcap", "--watch")
     assert result.returncode == 2
     assert "leave out --watch" in result.stderr
+
+
+MAIN = """
+version: 1
+include: parts/box.yaml
+containers:
+  - name: box
+    composable_nodes:
+      - name: first
+        parameters: [values.yaml]
+"""
+BOX = """
+version: 1
+containers:
+  - name: box
+    container_type: isolated
+    composable_nodes:
+      - package: play_launch_demo
+        plugin: "play_launch_demo::Talker"
+        name: first
+        parameters: {text: "${arg:greeting:-nothing} from a part"}
+"""
+VALUES = "/**:\n  ros__parameters: {rate: 20.0}\n"
+SECOND = """
+version: 1
+containers:
+  - name: more
+    composable_nodes:
+      - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: other}
+"""
+
+
+@pytest.fixture
+def main(tmp_path: Path) -> Path:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "box.yaml").write_text(BOX, encoding="utf-8")
+    (tmp_path / "values.yaml").write_text(VALUES, encoding="utf-8")
+    path = tmp_path / "main.yaml"
+    path.write_text(MAIN, encoding="utf-8")
+    return path
+
+
+def parameters(replay: Replay) -> dict[str, Any]:
+    found = json.loads(replay.ask("param", "dump", "/first", "--json").stdout)
+    values: dict[str, Any] = found["/first"]
+    return values
+
+
+def steps(replay: Replay) -> Iterator[str]:
+    """What is applied by and by, in the words of the events."""
+    while True:
+        event = replay.read_until(
+            lambda event: (
+                (event["event"] == "action" and event.get("phase") in {"done", "failed"})
+                or (event["event"] == "log" and "is not applied" in event["message"])
+            ),
+            "something that is applied or not",
+        )
+        yield event["message"] if event["event"] == "log" else event["phase"]
+
+
+def test_files_that_are_included_or_named_are_watched_and_arguments_stay(
+    main: Path, tmp_path: Path
+) -> None:
+    arguments = ("greeting:=Hello", "--watch")
+    with replaying(main, tmp_path / "logs", *arguments) as replay:
+        all_loaded(replay, 1)
+        before = replay.pids()
+        assert parameters(replay)["text"] == "Hello from a part"
+        happened = steps(replay)
+        (tmp_path / "values.yaml").write_text(VALUES.replace("20.0", "40.0"), encoding="utf-8")
+        assert next(happened) == "done"
+        assert parameters(replay)["rate"] == 40.0
+        part = tmp_path / "parts" / "box.yaml"
+        part.write_text(BOX.replace("from a part", "again"), encoding="utf-8")
+        assert next(happened) == "done"
+        assert parameters(replay)["text"] == "Hello again"
+        # A mistake that is mended in a file which no good configuration has named yet.
+        both = MAIN.replace("parts/box.yaml", "[parts/box.yaml, parts/more.yaml]")
+        main.write_text(both, encoding="utf-8")
+        assert "parts/more.yaml: no such file" in next(happened)
+        more = tmp_path / "parts" / "more.yaml"
+        more.write_text(SECOND.replace("version: 1", "version: one"), encoding="utf-8")
+        assert "parts/more.yaml:2:" in next(happened)
+        more.write_text(SECOND, encoding="utf-8")
+        assert next(happened) == "done"
+        after = replay.pids()
+        assert after["/box"] == before["/box"]
+        assert "/other" in after
+        # Another one of the same content is no change.
+        assert replay.ask("diff", main, "greeting:=Hello").returncode == 0
+
+
+def test_arguments_of_diff_and_apply(main: Path, tmp_path: Path) -> None:
+    with replaying(main, tmp_path / "logs", "greeting:=Hello") as replay:
+        all_loaded(replay, 1)
+        before = replay.pids()
+        assert replay.ask("diff", main, "greeting:=Hello").returncode == 0
+        options = "--container-type", "same", "greeting:=Hello"
+        assert replay.ask("diff", main, *options).returncode == 0
+        found = replay.ask("diff", main)
+        assert found.returncode == 1
+        assert "nothing from a part" in found.stdout
+        for verb in ("diff", "apply"):
+            for wrong, words in (
+                ("greting:=x", "nothing reads the argument greting"),
+                ("x", "write name:=value"),
+            ):
+                refused = replay.ask(verb, main, wrong)
+                assert refused.returncode == 2
+                assert words in refused.stderr
+        done = replay.ask("apply", main, "greeting:=It's := me")
+        assert done.returncode == 0, done.stderr
+        assert parameters(replay)["text"] == "It's := me from a part"
+        # A node that has no time to answer is reloaded.
+        assert replay.pids()["/box"] == before["/box"]
+        assert replay.ask("diff", main, "greeting:=It's := me").returncode == 0
+
+
+DEAF = "trap '' INT; echo deaf; while :; do sleep 0.1; done"
+
+
+def write(path: Path, text: str) -> Path:
+    deaf = {"name": "deaf", "command": ["sh", "-c", f"{DEAF} {text}"]}
+    return written(path, stop={"sigint": "10 min"}, nodes=[deaf])
+
+
+def test_diff_says_that_a_configuration_is_being_applied(tmp_path: Path) -> None:
+    before, after = write(tmp_path / "before.yaml", "# 1"), write(tmp_path / "after.yaml", "# 2")
+    with replaying(before, tmp_path / "logs") as replay:
+        deaf = replay.until(text="deaf")
+        session = ["--session", str(replay.pid)]
+        until(lambda: diff(before, *session)[0] == 0, "a session that answers")
+        applying = subprocess.Popen(
+            [str(COMMAND), "apply", str(after), "--timeout", "600", *session]
+        )
+        until(lambda: diff(before, *session)[0] == 1, "a configuration that is applied")
+        said = diff(before, *session)[1], diff(before, *session, "--json")[1]
+        os.kill(deaf["pid"], signal.SIGKILL)
+        assert applying.wait(60) == 0
+        assert f"{after} is being applied; compared with" in said[0]
+        assert json.loads(said[1])["applying"] == str(after)
+        assert diff(after, *session) == (0, "nothing differs\n")
+        last = replay.until(text="deaf")
+        os.kill(last["pid"], signal.SIGKILL)
+
+
+def test_what_is_saved_meanwhile_is_applied_afterwards(tmp_path: Path) -> None:
+    watched, other = write(tmp_path / "watched.yaml", "# 1"), write(tmp_path / "other.yaml", "# 2")
+
+    with replaying(watched, tmp_path / "logs", "--watch") as replay:
+        pid = replay.until(text="deaf")["pid"]
+        session = ["--session", str(replay.pid)]
+        until(lambda: diff(watched, *session)[0] == 0, "a session that answers")
+        command = [str(COMMAND), "apply", str(other), "--timeout", "600", *session]
+        applying = subprocess.Popen(command)
+        until(lambda: diff(watched, *session)[0] == 1, "a configuration that is applied")
+        write(watched, "# 3")
+        os.kill(pid, signal.SIGKILL)
+        assert applying.wait(60) == 0
+        for text in ("# 2", "# 3"):
+            pid = replay.until(text="deaf")["pid"]
+            words = Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8").split("\0")
+            assert words[2].endswith(text)
+            if text == "# 2":
+                replay.until(event="process", kind="stopping")
+            os.kill(pid, signal.SIGKILL)
+
+
+def test_of_two_that_are_asked_for_at_once_one_is_applied(tmp_path: Path) -> None:
+    files = [write(tmp_path / f"{number}.yaml", f"# {number}") for number in range(3)]
+    with replaying(files[0], tmp_path / "logs") as replay:
+        deaf = replay.until(text="deaf")
+        session = ["--session", str(replay.pid)]
+        until(lambda: diff(files[0], *session)[0] == 0, "a session that answers")
+        command = [str(COMMAND), "apply", "--timeout", "600", *session]
+        first = subprocess.Popen([*command, str(files[1])])
+        until(lambda: diff(files[0], *session)[0] == 1, "a configuration that is applied")
+        second = subprocess.run(
+            [*command, str(files[2])], check=False, stderr=subprocess.PIPE, text=True, timeout=60
+        )
+        assert second.returncode == 1
+        assert "another configuration is being applied; try again" in second.stderr
+        assert json.loads(diff(files[2], *session, "--json")[1])["applying"] == str(files[1])
+        os.kill(deaf["pid"], signal.SIGKILL)
+        assert first.wait(60) == 0
+        assert diff(files[1], *session) == (0, "nothing differs\n")
+        last = replay.until(text="deaf")
+        os.kill(last["pid"], signal.SIGKILL)
+    # Of each configuration that was applied there is a copy in the recording.
+    with replay.bag.open("rb") as stream:
+        copies = [each.name for each in make_reader(stream).iter_attachments()]
+    copied = {each.split("/")[1] for each in copies if each.startswith("applied/")}
+    assert copied == {"1"}
+
+
+def diff(*words: str | Path) -> tuple[int, str]:
+    done = run("diff", *words)
+    return done.returncode, done.stdout

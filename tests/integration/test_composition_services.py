@@ -1,8 +1,13 @@
-"""The container seen by somebody who knows nothing of play-launch: plain rclpy."""
+"""The container seen by a program that knows nothing of play-launch, and a component of a user."""
 
 from __future__ import annotations
 
 import json
+import os
+import re
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +17,7 @@ from composition_interfaces.srv import LoadNode
 from play_launch_msgs.msg import ComponentEvent
 from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
-from std_msgs.msg import String
+from std_msgs.msg import Float64, String
 
 from tests.support.container import running_container
 from tests.support.ros import LATCHED, Probe
@@ -153,6 +158,32 @@ def test_parameters_can_be_listed_and_set_like_those_of_any_node(probe: Probe) -
     assert "not_there" in unknown.reason
 
 
+@pytest.mark.usefixtures("container")
+@pytest.mark.parametrize(
+    ("prefixes", "depth", "names"),
+    [
+        ([], 1, {"arm"}),
+        ([], 2, {"arm", "arm.right"}),
+        (["arm"], 1, {"arm", "arm.right"}),
+        (["arm"], 2, {"arm", "arm.right", "arm.left.length"}),
+        (["arm.left"], ListParameters.Request.DEPTH_RECURSIVE, {"arm.left.length"}),
+        (["ar", "arm.right"], 1, {"arm.right"}),
+    ],
+)
+def test_parameters_are_listed_down_to_a_depth_below_prefixes(
+    probe: Probe, prefixes: list[str], depth: int, names: set[str]
+) -> None:
+    given = [
+        parameter(name, ParameterType.PARAMETER_INTEGER, integer_value=1)
+        for name in ("arm", "arm.right", "arm.left.length")
+    ]
+    assert probe.load("Echo", parameters=given).success
+    request = ListParameters.Request(prefixes=prefixes, depth=depth)
+    result = probe.call(ListParameters, "/echo/list_parameters", request).result
+    assert {name for name in result.names if name.startswith("arm")} == names
+    assert set(result.prefixes) == {name.rpartition(".")[0] for name in result.names} - {""}
+
+
 FAILURES: list[tuple[str, dict[str, Any], str]] = [
     ("ThrowingConstructor", {}, "no such camera"),
     ("Talker", {"node_namespace": "not absolute!"}, "not absolute!"),
@@ -197,3 +228,87 @@ def test_a_slow_constructor_blocks_nobody(probe: Probe) -> None:
     assert dict(probe.nodes()) == {"/talker": talker.unique_id}
     assert probe.unload(talker.unique_id).success
     assert not slow.done()
+
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "docs" / "examples" / "my_robot"
+GUIDE = ROOT / "docs" / "components.md"
+
+
+def build(source: Path, tmp_path: Path) -> Path:
+    tools = Path(sys.executable).parent
+    install = tmp_path / "install"
+    for command in (
+        [
+            tools / "cmake",
+            "-G",
+            "Ninja",
+            f"-DCMAKE_MAKE_PROGRAM={tools / 'ninja'}",
+            f"-DCMAKE_PREFIX_PATH={sys.prefix}",
+            f"-DCMAKE_INSTALL_PREFIX={install}",
+            "-B",
+            tmp_path / "build",
+            "-S",
+            source,
+        ],
+        [tools / "cmake", "--build", tmp_path / "build"],
+        [tools / "cmake", "--install", tmp_path / "build"],
+    ):
+        result = subprocess.run(
+            [str(part) for part in command], check=False, capture_output=True, text=True
+        )
+        assert result.returncode == 0, result.stdout + result.stderr
+    return install
+
+
+def test_the_guide_shows_the_example_as_it_is() -> None:
+    cmake = (EXAMPLE / "CMakeLists.txt").read_text().strip()
+    blocks = re.findall(r"```cmake\n(.*?)```", GUIDE.read_text(), flags=re.DOTALL)
+    assert [block.strip() for block in blocks] == [cmake]
+    assert len([line for line in cmake.splitlines() if line.strip()]) == 5
+
+
+TWO_LIBRARIES = """
+cmake_minimum_required(VERSION 3.22)
+project(two_libraries LANGUAGES CXX)
+find_package(play_launch_container REQUIRED)
+play_launch_add_components(first_components node.cpp PLUGINS two::A two::B)
+add_subdirectory(more)
+"""
+ONE_MORE = "play_launch_add_components(second_components ../node.cpp PLUGINS two::C)\n"
+
+
+def test_the_libraries_of_a_package_add_up_in_the_index(tmp_path: Path) -> None:
+    source = tmp_path / "two_libraries"
+    (source / "more").mkdir(parents=True)
+    (source / "CMakeLists.txt").write_text(TWO_LIBRARIES)
+    (source / "more" / "CMakeLists.txt").write_text(ONE_MORE)
+    (source / "node.cpp").touch()
+    for _ in range(2):  # configured again, nothing is there twice
+        install = build(source, tmp_path)
+        index = install / "share" / "ament_index" / "resource_index"
+        assert (index / "play_launch_components" / "two_libraries").read_text().splitlines() == [
+            "two::A;lib/libfirst_components.so",
+            "two::B;lib/libfirst_components.so",
+            "two::C;lib/libsecond_components.so",
+        ]
+        assert (index / "packages" / "two_libraries").is_file()
+
+
+def test_a_component_built_outside_the_tree_runs(tmp_path: Path) -> None:
+    source = tmp_path / "my_robot"
+    shutil.copytree(EXAMPLE, source)
+    install = build(source, tmp_path)
+    log = tmp_path / "container.log"
+    environment = {
+        "AMENT_PREFIX_PATH": os.pathsep.join(
+            [str(install), *filter(None, [os.environ.get("AMENT_PREFIX_PATH")])]
+        )
+    }
+    with (
+        running_container(name="power", log=log, environment=environment),
+        Probe() as probe,
+    ):
+        answer = probe.load("Battery", package="my_robot", container="/power")
+        assert answer.success, answer.error_message + log.read_text()
+        assert probe.collect(Float64, "/voltage")[0].data == 24.0

@@ -240,7 +240,8 @@ def test_what_replay_starts_for_itself_is_named(
 
     def named(file: Path) -> list[str]:
         found: list[str] = json.loads(explain(file, "--json").stdout)["helpers"]
-        assert all(f"#   {each}\n" in explain(file).stdout for each in found)
+        text = explain(file).stdout
+        assert all(f"#   {each}\n" in text for each in found)
         return [each.partition(":")[0] for each in found]
 
     later = ["play_launch.postmortem.archive", "play_launch.ros.fastdds"]

@@ -33,7 +33,7 @@ PLACES = {"first": 0, "second": 3, "apart": 6}
 WINDOW = 2.0
 """Seconds."""
 WINDOWS = 45
-"""Whoever runs a virtual machine may have no time for it, and then nobody in it has."""
+"""The host of a virtual machine may have no time for it, and then no process in it has."""
 LEAST = 10.0
 """Beats a second of one that has nothing to do with the others."""
 

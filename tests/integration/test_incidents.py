@@ -152,7 +152,7 @@ def test_a_null_pointer_in_a_callback(crashed: Path) -> None:
     # The call in die(), not the line after it.
     assert finding["lines"][die]["file"].endswith("crasher.cpp")
     assert finding["last_lines"] == []
-    assert finding["away"] == [{"who": "/victim", "ns": None}]
+    assert finding["away"] == [{"name": "/victim", "ns": None}]
 
 
 def test_a_null_pointer_that_ends_the_whole_container(tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_a_null_pointer_that_ends_the_whole_container(tmp_path: Path) -> None:
     check(lines, "/box died", "a null pointer was used", "in thread 'executor'")
     check(lines, source("*reinterpret_cast<volatile int*>"), "libplay_launch_demo.so")
     findings = json.loads(explain(replay.bag, "--json").stdout)["findings"]
-    (finding,) = (each for each in findings if each["who"] == "/box")
+    (finding,) = (each for each in findings if each["name"] == "/box")
     assert any("::die(" in frame["function"] for frame in finding["frames"])
     assert "libplay_launch_demo.so" in {each["name"] for each in finding["modules"]}
     assert {"/victim", "/bystander"} <= set(finding["hit"])
@@ -283,12 +283,13 @@ def spinning(core: int, nice: int) -> str:
 
 def most_used(recording: Path) -> float:
     """Percent of a core that one process got, on average."""
-    return max(read_timeline(recording).samples.mean_cpu().values())
+    totals = read_timeline(recording).samples.totals().values()
+    return max(each.mean_cpu or 0.0 for each in totals)
 
 
 @pytest.mark.skipif(not Path("/proc/pressure/cpu").exists(), reason="no pressure stall information")
 def test_what_starves_others_of_cpu_time(tmp_path: Path) -> None:
-    # Both want the same core. Who may (root) gets more of it than others on a busy machine.
+    # Both want the same core. With privileges one gets more of it on a busy machine.
     core = max(os.sched_getaffinity(0))
     config = STARVED.format(hog=spinning(core, -7), camera=spinning(core, 2))
     with replaying(written(tmp_path, config), tmp_path / "logs") as replay:
@@ -308,7 +309,7 @@ def test_what_starves_others_of_cpu_time(tmp_path: Path) -> None:
     check(lines, "/hog starved others of CPU time", "% of a core for", "/camera (")
     check(lines, "robot.yaml:4", "sched_setaffinity")
     (finding,) = json.loads(explain(replay.bag, "--json").stdout)["findings"]
-    assert (finding["who"], finding["hit"]) == ("/hog", ["/camera"])
+    assert (finding["name"], finding["hit"]) == ("/hog", ["/camera"])
 
 
 def test_a_session_without_an_incident(tmp_path: Path) -> None:

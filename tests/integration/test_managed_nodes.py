@@ -90,7 +90,7 @@ def test_native_and_rclpy_nodes_become_active_and_what_waits_for_that_starts(
     assert states(replay, "/one")[:4] == WAY
     assert states(replay, "/python")[:4] == WAY
     assert states(replay, "/two")[:3] == ["asked", "configuring", "inactive"]
-    assert states(replay, "/watched") == [], "nobody brings it anywhere but its helper"
+    assert states(replay, "/watched") == [], "only its helper changes its state"
     messages = recorded(replay.bag, "/play_launch/states")
     managed = [each for each in messages if each.kind == MANAGED_KIND and each.name == "/one"]
     assert [each.state for each in managed[:4]] == WAY
@@ -190,7 +190,7 @@ def test_it_is_activated_again_after_a_crash(tmp_path: Path) -> None:
 
 
 def test_waiting_ends_when_all_of_them_are_active(tmp_path: Path) -> None:
-    """Those that are brought there, and those that somebody else brings there."""
+    """Nodes that we activate, and nodes that another program activates."""
     slow = node("slow", parameters={"takes": 0.5})
     helper: dict[str, Any] = {"name": "helper", "command": [sys.executable, "-c", HELPER]}
     helper["depends_on"] = [{"name": "slow", "condition": "active"}, "watched"]

@@ -50,7 +50,6 @@ CASES = {
     "terminated": Case("standard", ("container", "backoff"), do=terminate_the_container),
     "quit_isolated": Case("isolated", ("node", "unloaded"), "Quitter"),
     "quit_standard": Case("standard", ("container", "stopped"), "Quitter"),
-    "quit_mt": Case("mt", ("container", "stopped"), "Quitter"),
 }
 
 
@@ -128,9 +127,8 @@ def test_an_isolated_node_that_shuts_the_ros_context_down(runs: dict[str, Replay
     assert (container["loaded"], container["unloaded"]) == (1, [listener])
 
 
-@pytest.mark.parametrize("name", ["quit_standard", "quit_mt"])
-def test_a_node_that_shuts_the_ros_context_of_all_down(runs: dict[str, Replay], name: str) -> None:
-    replay = runs[name]
+def test_a_node_that_shuts_the_ros_context_of_all_down(runs: dict[str, Replay]) -> None:
+    replay, name = runs["quit_standard"], "quit_standard"
     assert len(replay.told(name=f"/{name}", kind="started")) == 1, "it was started again"
     reasons = [each["error_message"] for each in replay.told(kind="unloaded")]
     assert reasons

@@ -131,7 +131,7 @@ def test_the_node_that_watches_the_graph_leaves_when_nothing_waits(tmp_path: Pat
 
 @pytest.mark.parametrize(("on_timeout", "code"), [("fail", 1), ("start", 0)])
 def test_what_never_comes(tmp_path: Path, on_timeout: str, code: int) -> None:
-    dependency = {"topic": "/nobody", "timeout": "300 ms", "on_timeout": on_timeout}
+    dependency = {"topic": "/absent", "timeout": "300 ms", "on_timeout": on_timeout}
     nodes = [{"name": "late", "command": ["true"], "depends_on": [dependency]}]
     with replaying(write(tmp_path, nodes=nodes), tmp_path / "logs") as replay:
         replay.read_all()

@@ -1,4 +1,4 @@
-"""A library that crashes while it is loaded, in containers of all types of the real command."""
+"""Libraries that crash or take long while they are loaded, in containers of all types."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def poisoned(tmp_path_factory: pytest.TempPathFactory) -> Replay:
 
 @pytest.fixture(scope="module")
 def for_a_person(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Popen[str]]:
-    """A run that is shown to a person and ends by itself."""
+    """A run on a terminal that exits on its own."""
     folder = tmp_path_factory.mktemp("person")
     path = config(folder, {"c": ("isolated", "segv")}, duration="12 s")
     process = subprocess.Popen(
@@ -145,3 +145,49 @@ def test_a_person_reads_why_and_the_exit_code_is_that_of_a_failed_load(
     line = next(each for each in output.splitlines() if "/c_bad failed to load" in each)
     for word in ("libplay_launch_demo_crashing.so", "SIGSEGV", "crash_while_opening"):
         assert word in line
+
+
+OPENING = 6.0
+"""Seconds; twice as long as a container may leave the supervisor without an answer."""
+
+
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory: pytest.TempPathFactory) -> Replay:
+    folder = tmp_path_factory.mktemp("slow")
+    library = {"package": "play_launch_demo_slow", "plugin": "play_launch_demo::SlowLibrary"}
+    containers = [
+        container(
+            kind,
+            node(f"{kind}_talker"),
+            {**library, "name": f"{kind}_slow"},
+            {**library, "name": f"{kind}_slow_too"},
+            container_type=kind,
+            loading_timeout="2 s",
+        )
+        for kind in TYPES
+    ]
+    names = [f"/{kind}_{name}" for kind in TYPES for name in ("talker", "slow", "slow_too")]
+    with replaying(written(folder, containers=containers), folder / "log") as replay:
+        replay.read_until_states(dict.fromkeys(names, "loaded"))
+    return replay
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_no_container_is_taken_for_frozen(slow: Replay, kind: str) -> None:
+    assert len(slow.told(name=f"/{kind}", kind="started")) == 1
+    assert not slow.told(name=f"/{kind}", kind="exited")
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_its_nodes_are_loaded_at_the_first_attempt(slow: Replay, kind: str) -> None:
+    for name in ("slow", "slow_too"):
+        (loading,) = slow.told(full_node_name=f"/{kind}_{name}", kind="loading")
+        (loaded,) = slow.told(full_node_name=f"/{kind}_{name}", kind="loaded")
+        assert (loaded["stamp_ns"] - loading["stamp_ns"]) * 1e-9 > OPENING / 2
+    assert len(slow.told(full_node_name=f"/{kind}_talker", kind="loaded")) == 1
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_it_is_reported_what_they_wait_for(slow: Replay, kind: str) -> None:
+    reasons = [each["reason"] for each in slow.told(event="node", node=f"/{kind}_slow")]
+    assert any("libplay_launch_demo_slow.so" in reason for reason in reasons), reasons

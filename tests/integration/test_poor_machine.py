@@ -1,4 +1,4 @@
-"""Machines that lack what every system needs: one message with the fix, and nothing started."""
+"""Machines that lack what a system needs: one message with the fix; profiles of Fast DDS."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ import os
 import signal
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
 
 import pytest
 
+from play_launch.ros.fastdds.shared_memory import SHARED_MEMORY
+from tests.support.loopback_network import permitted
 from tests.support.mounts import NO_PROC, mounted, small_shared_memory
-from tests.support.replay import COMMAND
+from tests.support.replay import COMMAND, replaying
 from tests.support.scenes import container, node, written
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
+from tests.support.shared_memory import segments_of
 
 TALKER = node("talker")
 FILL = "dd if=/dev/zero of=/dev/shm/full bs=4k"
@@ -58,7 +59,7 @@ def test_without_proc_nothing_is_started(tmp_path: Path) -> None:
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert "/proc is not mounted" in result.stderr
-    assert "nothing was started; fix: mount -t proc" in result.stderr
+    assert "; fix: mount -t proc" in result.stderr
     assert not (tmp_path / "logs").exists()
     result = run(mounted(NO_PROC, COMMAND, "doctor", "--json"))
     assert result.returncode == 1
@@ -72,7 +73,7 @@ def test_with_a_small_address_space_nothing_is_started(tmp_path: Path, size: int
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert f"limited to {size >> 20:,} MiB (ulimit -v)" in result.stderr
-    assert "nothing was started; fix: ulimit -v unlimited" in result.stderr
+    assert "; fix: ulimit -v unlimited" in result.stderr
     assert not (tmp_path / "logs").exists()
     result = run([*limited(size), COMMAND, "doctor", "--json"])
     assert result.returncode == 1
@@ -118,13 +119,13 @@ def test_full_shared_memory_is_refused(tmp_path: Path) -> None:
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert "/dev/shm is full (0 MiB of 2 MiB free)" in result.stderr
-    assert "nothing was started; fix: in docker" in result.stderr
+    assert "; fix: in docker" in result.stderr
     report = run(mounted(mount, COMMAND, "doctor", "--json"))
     assert report.returncode == 1
     assert report.stderr == ""
     failed = [each for each in json.loads(report.stdout)["findings"] if each["level"] == "fail"]
     assert [each["subject"] for each in failed] == ["rclpy", "container", "shared memory"]
-    # One thing is wrong, and each of them says what helps.
+    # One thing is wrong, and each of them names the fix.
     assert {each["fix"].partition(":")[0] for each in failed} == {"in docker"}
     assert "shared memory is full" in finding(report, "rclpy")["says"]
 
@@ -150,7 +151,7 @@ def test_shared_memory_that_the_dead_have_filled_is_cleaned_up(tmp_path: Path) -
 
 @pytest.mark.parametrize("kind", ["standard", "isolated", "process"])
 def test_a_death_of_a_bus_error_names_shared_memory_that_is_full(tmp_path: Path, kind: str) -> None:
-    """Whoever dies of it: a container, a node of an isolated one, an ordinary executable."""
+    """Whatever dies of it: a container, a node of an isolated one, an ordinary executable."""
     go = tmp_path / "go"
     os.mkfifo(go)
     filler = ["sh", "-c", f"read line < {go}; sleep infinity & {FILL}; echo $!; wait"]
@@ -223,3 +224,62 @@ def test_shared_memory_that_fills_up_later_leaves_the_supervisor_alone(
         process.stdout.read()
     assert process.returncode == 128 + signal.SIGINT, seen
     assert seen.index("full") < seen.index("/slow loaded")
+
+
+ROOT = Path(__file__).resolve().parents[2]
+PROFILES = ROOT / "fixtures" / "fastdds"
+MEBIBYTE = 1 << 20
+
+# Two containers, so that what is published goes from process to process. With LOCALHOST the RMW
+# makes transports of its own beside those of a profile, hence the default range, and a network of
+# its own.
+SYSTEM = """
+version: 1
+record: {{ros: false}}
+environment:
+  ROS_AUTOMATIC_DISCOVERY_RANGE: SUBNET
+  FASTRTPS_DEFAULT_PROFILES_FILE: {profile}
+containers:
+  - name: sender
+    composable_nodes:
+      - package: play_launch_demo
+        plugin: play_launch_demo::Talker
+        name: talker
+  - name: receiver
+    composable_nodes:
+      - package: play_launch_demo
+        plugin: play_launch_demo::Listener
+        name: listener
+"""
+
+
+@pytest.fixture
+def in_a_network_of_its_own() -> None:
+    if not permitted():
+        pytest.skip("this kernel permits no network namespace")
+
+
+@pytest.mark.usefixtures("in_a_network_of_its_own")
+@pytest.mark.parametrize(("profile", "expected"), [("no_shm", []), ("large_segment", [4, 4])])
+def test_profile(profile: str, expected: list[int], tmp_path: Path) -> None:
+    config = tmp_path / "system.yaml"
+    config.write_text(SYSTEM.format(profile=PROFILES / f"{profile}.xml"), encoding="utf-8")
+
+    with ExitStack() as stack:
+        replay = stack.enter_context(replaying(config, tmp_path / "log", in_a_network=True))
+        replay.read_until(
+            lambda event: "I heard" in event.get("text", ""), "a message from process to process"
+        )
+        # It has a /dev/shm of its own, too, which is there as long as we have it open.
+        shared = os.open(f"/proc/{replay.pid}/root{SHARED_MEMORY}", os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            found = {each.name for each in segments_of(each.pid for each in replay.descendants())}
+            sizes = [os.stat(name, dir_fd=shared).st_size // MEBIBYTE for name in found]
+            stack.close()
+            left = found.intersection(os.listdir(shared))  # noqa: PTH208 - of a descriptor
+        finally:
+            os.close(shared)
+
+    assert sizes == expected
+    assert replay.process.returncode == 130
+    assert not left

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
@@ -14,7 +13,7 @@ import pytest
 from mcap.reader import make_reader
 from std_msgs.msg import String
 
-from tests.support.replay import COMMAND, alive, recorded, replaying
+from tests.support.replay import alive, recorded, replaying
 from tests.support.ros import Probe
 from tests.support.scenes import container, node, written
 
@@ -68,23 +67,6 @@ def test_the_demo_runs_talks_stops_and_is_recorded(tmp_path: Path) -> None:
         attachments = {each.name: each.data for each in reader.iter_attachments()}
         assert reader.get_header().profile == "ros2"
     assert attachments["config.yaml"] == DEMO.read_bytes()
-
-
-def test_without_a_terminal_there_are_plain_lines_and_the_recording_s_name(tmp_path: Path) -> None:
-    with subprocess.Popen(
-        [COMMAND, "replay", DEMO, "--log-dir", tmp_path], stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        seen = ""
-        for line in process.stdout:
-            seen += line
-            if "/slow_starter loaded" in line:
-                process.send_signal(signal.SIGINT)
-    assert process.returncode == 128 + signal.SIGINT, seen
-    assert "\x1b" not in seen
-    assert "/monitor" in seen
-    assert "session.mcap" in seen.splitlines()[-1]
-    assert (tmp_path / "latest" / "session.mcap").is_file()
 
 
 def test_a_killed_container_is_restarted_with_its_nodes_within_bounds(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ class Service:
         self.unit = settings_of(done.stdout)
         self.listening = listening
         variables = [words(each.replace("$", "$$"))[0] for each in self.unit["Service.Environment"]]
-        # Nothing else is in the environment of a service but who it is.
+        # Nothing else is in the environment of a service but its user.
         self.environment = {"HOME": os.environ["HOME"]} | dict(
             each.split("=", 1) for each in variables
         )
@@ -164,6 +164,6 @@ def test_a_mistake_is_no_reason_to_start_again(tmp_path: Path) -> None:
         command = words(service.unit["Service.ExecStart"][0])
         done = subprocess.run(command, check=False, env=service.environment, capture_output=True)
         assert done.returncode == 2
-        # It was over before anybody could look, and that is a success.
+        # It was over before the first check, and that is a success.
         assert [each for each in listening.hear_all() if each.endswith("=1")][:1] != ["STOPPING=1"]
         assert "READY=1" in listening.said

@@ -1,4 +1,4 @@
-"""Containers that are not our own and behave: the honest kind, and those of somebody else."""
+"""Containers that are not our own and behave: the honest kind, and those that others start."""
 
 from __future__ import annotations
 
@@ -87,20 +87,6 @@ def test_real_components_are_loaded_talk_and_are_recorded(tmp_path: Path) -> Non
         assert recorded(replay.bag, f"/play_launch/{topic}")
 
 
-def test_a_killed_container_comes_back_with_its_nodes(tmp_path: Path) -> None:
-    config = write(tmp_path, HONEST)
-    with replaying(config, tmp_path, "--duration", LIMIT) as replay:
-        first = replay.read_until(state("/listener", "loaded"), "the node")
-        replay.read_until(state("/broken", "load failed"), "the failure")
-        os.kill(first["pid"], 9)
-        replay.read_until(state("/listener", "lost"), "the loss")
-        again = replay.read_until(state("/listener", "loaded"), "the node again")
-        assert again["pid"] != first["pid"]
-        assert again["unique_id"] == first["unique_id"] == 2
-        replay.read_until(state("/broken", "load failed"), "the failure again")
-        assert set(listed("/honest")) == {"/talker", "/listener"}
-
-
 def test_a_node_that_somebody_else_unloads_is_told(tmp_path: Path) -> None:
     config = write(tmp_path, HONEST)
     with replaying(config, tmp_path, "--duration", LIMIT) as replay:
@@ -134,7 +120,7 @@ def _double(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Double:
 
 
 def load(name: str) -> int:
-    """Have somebody else load a node into /theirs."""
+    """Have another program load a node into /theirs."""
     with Probe() as probe:
         answer = probe.load("Node", package="any", container="/theirs", node_name=name)
     assert answer.success
@@ -236,6 +222,7 @@ def test_a_container_is_let_go_in_time_though_it_does_not_unload(
             replay.read_all()
             assert told(replay, "not unloaded in time")
         assert container.poll() is None
+        container.kill()  # its hanging constructor may keep it from ending in order
 
 
 def test_our_own_container_can_be_attached_to_as_well(tmp_path: Path) -> None:

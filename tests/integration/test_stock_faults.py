@@ -1,4 +1,4 @@
-"""Stock containers that misbehave in every way that is known, and what becomes of their nodes.
+"""Stock containers that misbehave in every way that is known, and how their nodes fare.
 
 One run for all of them: the supervisor and the containers talk over real DDS on the loopback
 interface. What the double really did stands in its journal.
@@ -15,7 +15,7 @@ from tests.support.replay import Replay, replaying
 from tests.support.scenes import written
 from tests.support.stock import EXECUTABLE, PACKAGE, Double, install
 
-PATIENCE = 180.0
+TIMEOUT = 180.0
 
 
 def node(name: str, *faults: str) -> dict[str, Any]:
@@ -101,7 +101,7 @@ def _run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in double.environment.items():
             patch.setenv(name, value)
-        with replaying(config, folder / "logs", "--duration", f"{PATIENCE:g}s") as replay:
+        with replaying(config, folder / "logs", "--duration", f"{TIMEOUT:g}s") as replay:
             replay.read_until_states(SETTLED)
             if not replay.told(**given_up):
                 replay.until(**given_up)

@@ -1,4 +1,4 @@
-"""In a configuration nobody is called as somebody else, in a launch file anybody may be."""
+"""In a configuration names are unique, in a launch file they may repeat."""
 
 from __future__ import annotations
 

@@ -135,8 +135,10 @@ wheel.packages = []
 """
 
 
-@pytest.mark.parametrize("place", ["lib/{}/site-packages", "local/lib/{}/dist-packages"])
-@pytest.mark.parametrize("hook", ["build_wheel", "build_editable"])
+@pytest.mark.parametrize(
+    ("hook", "place"),
+    [("build_wheel", "lib/{}/site-packages"), ("build_editable", "local/lib/{}/dist-packages")],
+)
 def test_cmake_finds_the_python_packages_of_a_sourced_ros_that_pip_hides(
     tmp_path: Path, hook: str, place: str
 ) -> None:
@@ -194,7 +196,7 @@ message("found: ${{found}}")
 """
 
 
-@pytest.mark.parametrize("whose", ["ours", "ros", "nobody"])
+@pytest.mark.parametrize("whose", ["ours", "ros", "none"])
 def test_composition_interfaces_that_we_installed_ourselves_do_not_count(
     tmp_path: Path, whose: str
 ) -> None:
@@ -205,7 +207,7 @@ def test_composition_interfaces_that_we_installed_ourselves_do_not_count(
         manifest = manifest.replace("<built_by>play_launch_container</built_by>", "")
     folder = tmp_path / "share" / "composition_interfaces"
     folder.mkdir(parents=True)
-    if whose != "nobody":
+    if whose != "none":
         (folder / "package.xml").write_text(manifest)
     script = tmp_path / "ask.cmake"
     script.write_text(ASKS_FOR_INTERFACES.format(cmake=native / "cmake"))

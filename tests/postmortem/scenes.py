@@ -5,22 +5,27 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from mcap.records import Channel
 from msgspec.structs import replace
 
 from play_launch.config.model import ParameterType
 from play_launch.config.node_key import NodeKey
 from play_launch.container.cdr.messages import NODE_PARAMETERS, PARAMETER_EVENT
+from play_launch.postmortem.bag_reader import ChannelInfo, RecordedTopic
 from play_launch.postmortem.findings import Finding, findings
+from play_launch.postmortem.records import MESSAGE
 from play_launch.postmortem.timeline import Timeline, read_timeline
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
-from play_launch.recording.session import METADATA_NAME
+from play_launch.recording.topics import METADATA_NAME
+from play_launch.supervisor.endpoints import Endpoint
 from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
     ContainerStateChanged,
+    GraphChanged,
     GroupSample,
     MemoryKind,
     NodeState,
@@ -57,6 +62,17 @@ TYPES = {
     ParameterType.STRING_ARRAY: tuple,
 }
 """A bool is an int as well: the first that fits holds."""
+
+
+def channel_of(name: str, key: str = "") -> ChannelInfo:
+    """A channel of a file, as far as it matters."""
+    topic = RecordedTopic(name, "", "cdr", "process", key)
+    return ChannelInfo(topic, Channel(0, name, "cdr", {}, 0), None)
+
+
+def message_record(data: bytes, log_time: int) -> bytes:
+    """A message of channel 0, as it stands in a file."""
+    return MESSAGE.pack(5, 22 + len(data), 0, 1, log_time, log_time) + data
 
 
 @dataclass
@@ -99,6 +115,21 @@ class Scene:
         has_failed = fields.get("signal") or fields.get("exit_code")
         fields = {"cause": Cause.SIGNAL if has_failed else Cause.NONE} | fields
         self.events.append(ProcessEvent(stamp_ns=ns(at), kind=kind, name=name, **fields))
+
+    def graph(self, at: float, appeared: str = "", vanished: str = "", **qos: int) -> None:
+        """Endpoints as words: ``/lidar>/scan`` publishes, ``/slam</scan:pkg/msg/T`` subscribes."""
+        changes = (tuple(_endpoint(each, qos) for each in s.split()) for s in (appeared, vanished))
+        added, removed = changes
+        self.events.append(
+            GraphChanged(
+                stamp_ns=ns(at),
+                appeared=(),
+                vanished=(),
+                nodes=1,
+                endpoints_appeared=added,
+                endpoints_vanished=removed,
+            )
+        )
 
     def line(self, at: float, text: str, process: str = "/box") -> None:
         line = OutputLine(stamp_ns=ns(at), process=process, pid=1, stream=Stream.STDOUT, text=text)
@@ -259,6 +290,13 @@ class Story:
     @property
     def parameters(self) -> Parameters:
         return self.timeline.parameters
+
+
+def _endpoint(text: str, qos: dict[str, int]) -> Endpoint:
+    rest, _, kind = text.partition(":")
+    is_publisher = ">" in rest
+    node, _, topic = rest.partition(">" if is_publisher else "<")
+    return Endpoint(topic, node, kind or "std_msgs/msg/String", is_publisher, **qos)
 
 
 def story_of(path: Path, *, only_failures: bool = False) -> Story:

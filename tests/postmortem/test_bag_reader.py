@@ -20,8 +20,7 @@ from play_launch.postmortem import bag_reader
 from play_launch.postmortem.bag_reader import BagReader, Message, NotARecordingError
 from play_launch.postmortem.recover import write_whole
 from play_launch.recording.bag import BagWriter
-from play_launch.recording.folder import open_bag
-from play_launch.recording.mcap_file import MAGIC
+from play_launch.recording.folder import MAGIC, open_bag
 from play_launch.recording.topics import OUTPUT
 
 if TYPE_CHECKING:
@@ -156,13 +155,14 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
 def test_a_sector_that_cannot_be_read_costs_what_is_in_it(disk: Disk, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(recording())
-    before = list(BagReader(path).messages())
-    offsets = sorted({message.offset for message in before})
+    reader = BagReader(path)
+    before = [(reader.offset, message) for message in reader.messages()]
+    offsets = sorted({offset for offset, _ in before})
     # Within a chunk, but for the first one, which describes channels; then within the summary.
     for lost, bad in (*((at, at + 20) for at in offsets[1:]), (-1, len(recording()) - 200)):
         disk.bad = bad
         reader = BagReader(path)
-        expected = numbers([each for each in before if each.offset != lost])
+        expected = numbers([message for offset, message in before if offset != lost])
         assert numbers(list(reader.messages())) == expected
         (damage,) = reader.damages
         assert "Input/output error" in damage.reason

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import pytest
 
 from play_launch.postmortem import detect
-from play_launch.postmortem.detect import bring_up, failures, incompatible_qos, recording, resources
+from play_launch.postmortem.connections import Connections, Mismatch
+from play_launch.postmortem.detect import bring_up, failures, recording, resources, topics
 from play_launch.postmortem.samples import _is_busy
 from play_launch.postmortem.timeline import Timeline
 from play_launch.postmortem.units import Fault
@@ -60,12 +61,50 @@ BREAKS: Final = {
     ),
     "grew": Break(
         resources._growing,
-        "if key not in failed",
-        "if key in failed",
+        "[] if key in failed",
+        "[] if key not in failed",
         test_timeline.test_who_grows_without_failing,
     ),
+    "disconnected": Break(
+        topics._disconnected,
+        "is_near and",
+        "",
+        lambda path: test_detect.test_what_a_failure_left_without_a_publisher(
+            path, 0, "until the end"
+        ),
+    ),
+    "incompatible_qos in the graph": Break(
+        Mismatch.__str__,
+        "self.odd",
+        "self.topic",
+        test_detect.test_what_the_graph_knows_of_policies_that_do_not_match,
+    ),
+    "incompatible_type": Break(
+        topics._mismatched,
+        'each.policy == "type"',
+        'each.policy != "type"',
+        test_detect.test_topics_whose_types_differ,
+    ),
+    "misnamed_topic": Break(
+        topics._unpublished,
+        "unused=True",
+        "unused=False",
+        test_detect.test_subscriptions_that_nothing_publishes_for,
+    ),
+    "unpublished": Break(
+        Connections._problems,
+        "and not now.has_publisher",
+        "",
+        test_detect.test_subscriptions_that_nothing_publishes_for,
+    ),
+    "unpublished at the end": Break(
+        Connections.take,
+        "if self._stopped_ns",
+        "if False",
+        test_detect.test_a_topic_that_only_a_similar_one_is_published_for,
+    ),
     "incompatible_qos": Break(
-        incompatible_qos.detect,
+        topics._reported,
         'by_side[report["other"]]',
         'by_side["publisher"]',
         test_detect.test_publishers_and_subscriptions_that_do_not_match,
@@ -134,8 +173,8 @@ BREAKS: Final = {
     ),
     "starved": Break(
         resources._starving,
-        "hit=times[0].hit",
-        "hit=()",
+        "each is not hog and",
+        "each is hog and",
         lambda path: test_timeline.test_who_starved_whom(path, 60.0, 30.0, True),
     ),
     "starved at rest": Break(

@@ -46,9 +46,9 @@ def test_what_the_kernel_kills_and_refuses_for_limits(tmp_path: Path) -> None:
         scene.group(at, "/mapper", oom_kills=(at >= 4) + 2 * (at >= 7), pids_max_hits=at // 10)
         scene.group(at, "/fine")
     oom, refused = scene.story(tmp_path).findings
-    assert (oom.kind, oom.who, oom.times_ns) == ("oom", "/mapper", (ns(4), ns(7)))
+    assert (oom.kind, oom.name, oom.times_ns) == ("oom", "/mapper", (ns(4), ns(7)))
     assert "processes killed: 3; that is, " in text_of(oom)[1]
-    assert (refused.kind, refused.who, refused.times_ns) == ("pids_max", "/mapper", (ns(10),))
+    assert (refused.kind, refused.name, refused.times_ns) == ("pids_max", "/mapper", (ns(10),))
 
 
 @pytest.mark.parametrize(("pause", "is_loop"), [(2, True), (20, False)])
@@ -125,3 +125,112 @@ def test_publishers_and_subscriptions_that_do_not_match(tmp_path: Path) -> None:
         "/lidar offers less than is requested; "
     )
     assert finding.hit == ("/robot/slam", "/lidar")
+
+
+def running() -> Scene:
+    """A session with a process that runs until `stopped`."""
+    scene = Scene()
+    scene.process(0, ProcessEventKind.STARTED, "/rviz", pid=1)
+    return scene
+
+
+def stopped(scene: Scene) -> Scene:
+    scene.process(30, ProcessEventKind.STOPPING, "/rviz")
+    scene.process(31, ProcessEventKind.EXITED, "/rviz")
+    return scene
+
+
+def test_what_the_graph_knows_of_policies_that_do_not_match(tmp_path: Path) -> None:
+    scene = running()
+    # Reliability and durability of rmw: 1 is the stronger one.
+    scene.graph(1, "/lidar>/scan /_ros2cli_1</map", reliability=2, durability=2)
+    scene.graph(2, "/slam</scan /nav</scan", reliability=1, durability=2)
+    scene.graph(2, "/rviz</scan", reliability=2, durability=2)
+    scene.graph(3, "/server>/map", reliability=1, durability=2)
+    scene.graph(3, "/nav</map", reliability=1, durability=1)
+    # It is away before it counts.
+    scene.graph(10, "/server>/brief", reliability=2)
+    scene.graph(10, "/nav</brief", reliability=1)
+    scene.graph(12, "", "/nav</brief", reliability=1)
+    scene.line(4, "[WARN] [1.0] [nav]: New publisher discovered on topic '/map', offering incompat")
+    scan, map_ = stopped(scene).story(tmp_path).findings
+    what, cause = text_of(scan)
+    at = "from 2.000 s after the start on"
+    assert what == f"QoS on /scan is incompatible, so messages are lost, {at}."
+    assert cause == (
+        "Cause: reliability: /lidar offers best_effort, /nav, /slam requests reliable; to change: "
+        "request best_effort in /nav, /slam."
+    )
+    assert scan.hit == ("/nav", "/slam", "/lidar")
+    assert text_of(map_)[1] == (
+        "Cause: durability: /server offers volatile, /nav requests transient_local; to change: "
+        "offer transient_local in /server or request volatile in /nav."
+    )
+
+
+def test_topics_whose_types_differ(tmp_path: Path) -> None:
+    scene = running()
+    scene.graph(1, "/lidar>/scan:a/msg/Scan /slam</scan:a/msg/Points")
+    (finding,) = stopped(scene).story(tmp_path).findings
+    assert finding.kind == "incompatible_type"
+    assert text_of(finding)[1] == (
+        "Cause: /lidar publishes a/msg/Scan, /slam subscribes to a/msg/Points."
+    )
+
+
+def test_a_topic_that_only_a_similar_one_is_published_for(tmp_path: Path) -> None:
+    scene = running()
+    scene.graph(1, "/lidar>/lidar/scan /slam</scan /imu>/scan_raw:a/msg/Other /rosbag>/rosout")
+    stopped(scene)
+    # What comes and goes after all have stopped is no fault.
+    scene.graph(30.5, "", "/lidar>/lidar/scan")
+    scene.graph(36, "/late</late")
+    (finding,) = scene.story(tmp_path).findings
+    assert finding.is_failure
+    what, cause = text_of(finding)
+    at = "from 1.000 s after the start on"
+    assert what == f"/slam subscribed to /scan, which had no publisher until the end, {at}."
+    assert cause == (
+        "Cause: did you mean /lidar/scan? It has the same type, /lidar publishes it, and nothing "
+        "subscribes to it."
+    )
+
+
+def test_subscriptions_that_nothing_publishes_for(tmp_path: Path) -> None:
+    scene = running()
+    scene.graph(1, "/teleop</joy:a/msg/Joy /drive>/cmd_vel /safe</cmd_vel /viz</cmd_vell")
+    scene.graph(1, "/_ros2cli_8>/goal /planner</goal")
+    scene.graph(1, "/viz</cam_1/image:a/msg/Image /cam_2>/cam_2/image:a/msg/Image")
+    scene.graph(1, "/viz</left/points:a/msg/Cloud /right>/right/points:a/msg/Cloud")
+    scene.graph(2, "/tool>/unwanted /_ros2cli_7</nothing /late</path")
+    scene.graph(8, "/planner>/path")
+    (finding,) = stopped(scene).story(tmp_path).findings
+    assert not finding.is_failure
+    assert text_of(finding)[1] == (
+        "Cause: /joy (/teleop), /cmd_vell (/viz, did you mean /cmd_vel?), /cam_1/image (/viz), "
+        "/left/points (/viz)."
+    )
+
+
+@pytest.mark.parametrize(("back", "how_long"), [(25, "for 10 s"), (0, "until the end")])
+def test_what_a_failure_left_without_a_publisher(
+    tmp_path: Path, back: float, how_long: str
+) -> None:
+    scene = running()
+    scene.process(0, ProcessEventKind.STARTED, "/lidar", pid=2)
+    scene.graph(1, "/lidar>/scan /slam</scan /lidar</cmd /drive>/cmd /other>/x /slam</x")
+    scene.graph(1, "/lidar>/points /slam</points")
+    scene.graph(8, "", "/lidar>/points")  # long before it fails
+    scene.process(14, ProcessEventKind.EXITED, "/lidar", pid=2, signal=11)
+    scene.graph(15, "", "/lidar>/scan /lidar</cmd")
+    # Nothing of this system failed then.
+    scene.graph(22, "", "/other>/x")
+    if back:
+        scene.process(24, ProcessEventKind.STARTED, "/lidar", pid=3)
+        scene.graph(25, "/lidar>/scan /lidar</cmd")
+    died, scan, cmd = stopped(scene).story(tmp_path).findings
+    assert died.kind == "died"
+    at = "from 15.000 s after the start on"
+    assert text_of(scan)[0] == f"/lidar left /scan without a publisher {how_long}, {at}."
+    assert text_of(cmd)[0] == f"/lidar left /cmd without a subscription {how_long}, {at}."
+    assert (scan.hit, cmd.hit, scan.is_failure) == (("/slam",), ("/drive",), False)

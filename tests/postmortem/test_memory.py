@@ -70,7 +70,7 @@ def test_what_is_kept_does_not_grow_with_the_session(
     for module, name in (
         (samples, "MOST_SAMPLES"),
         (samples, "_RECENT"),
-        (samples, "_MOST_STARVATIONS"),
+        (samples, "_MOST_BUSY_TIMES"),
         (timeline, "MOST_CHANGES"),
         (timeline, "MOST_EVENTS"),
         (timeline, "_MOST_TIMES"),

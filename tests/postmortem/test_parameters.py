@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 def message(data: bytes, topic: str = topics.PARAMETERS.name, type_name: str = "") -> Message:
     known = RecordedTopic(topic, type_name or topics.PARAMETERS.type_name, "cdr")
-    return Message(known, log_time=1, publish_time=1, data=data, channel=1, offset=0)
+    return Message(known, log_time=1, publish_time=1, data=data, channel=1)
 
 
 def test_answers_and_changes(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
-from play_launch.recording.session import METADATA_NAME
+from play_launch.recording.topics import METADATA_NAME
 from play_launch.supervisor.events import ContainerStateChanged, RunEvent
 from tests.postmortem.test_session import OTHERS
 from tests.recording.test_parts import three_parts

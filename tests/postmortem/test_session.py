@@ -18,7 +18,7 @@ from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
-from play_launch.recording.session import METADATA_NAME
+from play_launch.recording.topics import METADATA_NAME
 from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,

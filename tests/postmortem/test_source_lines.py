@@ -65,7 +65,7 @@ def crash(frames: Iterable[Frame], *modules: Module, signature: Signature | None
         kind="crashed",
         rank=0,
         says="crashed",
-        who="/a",
+        name="/a",
         times_ns=(1,),
         frames=tuple(frames),
         modules=modules,

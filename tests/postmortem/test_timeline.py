@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from play_launch.cli.explain import headline, paragraphs
 from play_launch.container.cdr.messages import log_message
-from play_launch.postmortem.bag_reader import Message, RecordedTopic
 from play_launch.postmortem.findings import Finding, is_wrong
 from play_launch.postmortem.known_causes import BY_NAME, known_cause
 from play_launch.postmortem.last_lines import MOST_LOGGERS, LastLines
@@ -30,7 +29,16 @@ from play_launch.supervisor.events import (
     Withdrawn,
 )
 from play_launch.supervisor.outcome import Cause, Sequel
-from tests.postmortem.scenes import NAN, SECOND, STAYS, Scene, ns, story_of
+from tests.postmortem.scenes import (
+    NAN,
+    SECOND,
+    STAYS,
+    Scene,
+    channel_of,
+    message_record,
+    ns,
+    story_of,
+)
 from tests.recording.test_states import EVENTS
 
 if TYPE_CHECKING:
@@ -40,7 +48,7 @@ LOADING, LOADED, LOST = NodeState.LOADING, NodeState.LOADED, NodeState.LOST
 
 
 def kinds(findings: tuple[Finding, ...]) -> list[tuple[str, str]]:
-    return [(each.kind, each.who) for each in findings]
+    return [(each.kind, each.name) for each in findings]
 
 
 @pytest.fixture(params=[True, False], ids=["codes", "version 1"])
@@ -114,7 +122,7 @@ def test_who_was_hit_by_the_death_of_a_container(scene: Scene, tmp_path: Path) -
     scene.process(3, ProcessEventKind.STARTED)
     scene.node(3.5, "/a", LOADED)
     (finding,) = scene.story(tmp_path).findings
-    assert (finding.kind, finding.who, finding.hit) == (Fault.DIED, "/box", ("/a", "/b"))
+    assert (finding.kind, finding.name, finding.hit) == (Fault.DIED, "/box", ("/a", "/b"))
     assert finding.done == ("restarted after 0.10 s",)
     assert set(finding.away) == {
         Downtime("/box", SECOND),
@@ -134,7 +142,7 @@ def test_what_is_killed_for_a_dead_node_is_blamed_on_that(scene: Scene, tmp_path
     scene.process(3.1, ProcessEventKind.EXITED, signal=9, cause=cause)
     scene.node(3.1, "/waiting", LOST)
     (finding,) = scene.story(tmp_path).findings
-    assert (finding.kind, finding.who) == (Fault.CRASHED, "/holder")
+    assert (finding.kind, finding.name) == (Fault.CRASHED, "/holder")
     assert finding.hit == ("/box", "/waiting")
     assert "process 8 (/waiting) waits for one held by process 7 (/holder)" in finding.done[-1]
 
@@ -211,7 +219,7 @@ def test_any_events_make_a_story(events: list[RunEvent]) -> None:
 
 def test_just_before_the_start_is_at_the_start() -> None:
     finding = Finding(
-        kind="crashed", rank=0, says="crashed {when}", who="/a", times_ns=(ns(1) - 9,)
+        kind="crashed", rank=0, says="crashed {when}", name="/a", times_ns=(ns(1) - 9,)
     )
     assert headline(finding, ns(1)) == "/a crashed at 0.000 s after the start."
 
@@ -249,13 +257,17 @@ def test_the_last_lines_are_those_of_the_node(scene: Scene, tmp_path: Path) -> N
 
 def test_loggers_whose_names_count_up_take_bounded_memory() -> None:
     lines = LastLines()
-    topic = RecordedTopic(topics.OUTPUT.name, topics.OUTPUT.type_name, "cdr")
+    channels = {0: channel_of(topics.OUTPUT.name)}
     count = 20 * MOST_LOGGERS
     for number in range(count):
-        text = f"[INFO] [1.0] [worker_{number}]: done"
-        lines.take(Message(topic, number, number, log_message(number, 20, "/box", text), 1, 0))
-        text = f"[INFO] [1.0] [talker]: {number}"
-        lines.take(Message(topic, number, number, log_message(number, 20, "/box", text), 1, 0))
+        data = b"".join(
+            message_record(log_message(number, 20, "/box", text), number)
+            for text in (
+                f"[INFO] [1.0] [worker_{number}]: done",
+                f"[INFO] [1.0] [talker]: {number}",
+            )
+        )
+        assert lines.take(data, 0, channels) == (len(data), number)
     (rings,) = lines._rings.values()
     assert len(rings) <= MOST_LOGGERS
     last = f"[INFO] [1.0] [talker]: {count - 1}"
@@ -273,7 +285,7 @@ def test_what_grew_before_a_failure(tmp_path: Path) -> None:
     scene.process(20, ProcessEventKind.EXITED, "/leaker", pid=7, signal=9)
     (finding,) = scene.story(tmp_path).findings
     (trend,) = finding.before
-    assert (trend.who, trend.quantity) == ("/leaker", Quantity.MEMORY)
+    assert (trend.name, trend.quantity) == ("/leaker", Quantity.MEMORY)
     assert (trend.before, trend.after) == (10**8, 19 * 10**7)
     assert (trend.begin_ns, trend.end_ns) == (ns(10), ns(19))
 
@@ -294,7 +306,7 @@ def test_who_grows_without_failing(tmp_path: Path) -> None:
         # Takes its memory at once and keeps it.
         scene.used(at, "/big", memory_bytes=10**7 if at < 2 else 10**9)
     (finding,) = scene.story(tmp_path).findings
-    assert (finding.kind, finding.who) == ("grew", "/leaker")
+    assert (finding.kind, finding.name) == ("grew", "/leaker")
     text = "memory 200.0 MB -> 1.09 GB in 1 min 29 s, still rising at the end"
     assert headline(finding, ns(0)) == f"/leaker may leak: {text}."
 
@@ -315,7 +327,7 @@ def test_who_starved_whom(tmp_path: Path, pressure: float, percent: float, is_bu
         assert found == ()
         return
     (finding,) = found
-    assert (finding.kind, finding.who, finding.hit) == ("starved", "/hog", ("/poor",))
+    assert (finding.kind, finding.name, finding.hit) == ("starved", "/hog", ("/poor",))
 
 
 def test_a_recording_without_an_end_is_no_failure_and_a_full_disk_is(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Sessions of before are looked after while a system runs."""
+"""Upkeep of earlier sessions while a system runs."""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from pathlib import Path
 
 import psutil
 import pytest
@@ -12,10 +13,6 @@ from play_launch.container.ros import spawn_guard
 from play_launch.process.guard import SessionGuard
 from tests.process.programs import open_descriptors
 from tests.support.waiting import until
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 
 @pytest.fixture
@@ -35,7 +32,7 @@ def _loop_is_never_blocked() -> Iterator[None]:
         # The kernel lists the threads of a process from memory.
         blockbuster.functions["os.listdir"].can_block_in("process/time_slice.py", "_threads")
         for name in ("os.stat", "os.access"):
-            blockbuster.functions[name].can_block_in("process/program.py", "check_program")
+            blockbuster.functions[name].can_block_in("process/guard.py", "check_program")
         yield
 
 

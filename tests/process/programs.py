@@ -5,16 +5,12 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from play_launch.process.lines import Line
 from play_launch.supervisor.events import Stream
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from play_launch.process.lines import Line
 
 
 def python(code: str) -> list[str]:
@@ -30,7 +26,7 @@ READY_THEN_SLEEP = "print('ready', flush=True); import time; time.sleep(600)"
 
 
 def deaf_to(*signals: str) -> list[str]:
-    """A program that ignores these signals and says so."""
+    """A program that ignores these signals and prints each."""
     ignore = "".join(f"signal.signal(signal.{name}, signal.SIG_IGN);" for name in signals)
     return python(f"import signal; {ignore} {READY_THEN_SLEEP}")
 

@@ -6,24 +6,18 @@ import asyncio
 import errno
 import os
 import signal
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import psutil
 import pytest
 
-from play_launch.process.child import spawn
+from play_launch.process.child import Child, spawn
 from play_launch.process.exit import Exit
-from play_launch.process.guard import SessionGuard
-from play_launch.process.program import SpawnError
+from play_launch.process.guard import SessionGuard, SpawnError
 from play_launch.process.stop import StopPolicy, stop
 from tests.process.programs import Output, environment, python, shell
 from tests.support.tracing import stopped_by_a_tracer
 from tests.support.waiting import until
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from play_launch.process.child import Child
 
 pytestmark = pytest.mark.anyio
 
@@ -57,18 +51,16 @@ async def test_the_loop_goes_on_while_a_guard_is_held(
         starts = [starting(session, f"echo {number} >> {log}") for number in range(MANY)]
         await passes()
         before = len(output.texts())
-        async with asyncio.timeout(60):
-            while len(output.texts()) < before + 20:
-                await asyncio.sleep(0.001)
+        while len(output.texts()) < before + 20:
+            await asyncio.sleep(0.001)
         assert short.is_running, "only the guard can tell"
         assert not any(each.done() for each in starts)
         assert not log.exists()
-    async with asyncio.timeout(60):
-        assert await short.gone() == Exit(code=3)
-        for each in await asyncio.gather(*starts):
-            assert await each.gone() == Exit()
-        assert sorted(map(int, log.read_text().split())) == list(range(MANY))
-        await stop(child, StopPolicy())
+    assert await short.gone() == Exit(code=3)
+    for each in await asyncio.gather(*starts):
+        assert await each.gone() == Exit()
+    assert sorted(map(int, log.read_text().split())) == list(range(MANY))
+    await stop(child, StopPolicy())
     assert session.is_alive
 
 
@@ -84,9 +76,8 @@ async def test_a_start_that_is_given_up_never_runs(
         start.cancel()
         with pytest.raises(asyncio.CancelledError):
             await start
-    async with asyncio.timeout(60):
-        for each in await asyncio.gather(*others):
-            assert await each.gone() == Exit(code=3)
+    for each in await asyncio.gather(*others):
+        assert await each.gone() == Exit(code=3)
     # Not as a zombie either.
     await asyncio.to_thread(until, lambda: not children_of(session), "the end of what was forked")
     assert not ran.exists()
@@ -118,11 +109,10 @@ async def test_a_guard_that_is_killed_meanwhile_starts_nothing(guard: Path, tmp_
         starts = [starting(session, f"touch {ran}") for _ in range(MANY)]
         await passes()
         os.kill(session.pid, signal.SIGKILL)
-    async with asyncio.timeout(60):
-        for each in await asyncio.gather(*starts, return_exceptions=True):
-            assert isinstance(each, SpawnError)
-            assert each.errno == errno.ECONNRESET
-        assert (await child.gone()).is_lost
+    for each in await asyncio.gather(*starts, return_exceptions=True):
+        assert isinstance(each, SpawnError)
+        assert each.errno == errno.ECONNRESET
+    assert (await child.gone()).is_lost
     assert not session.is_alive
     assert not ran.exists()
     await session.end()
@@ -132,10 +122,9 @@ async def test_further_requests_do_not_put_the_limit_off(guard: Path) -> None:
     session = SessionGuard.start(guard, answer_limit=0.3)
     with stopped_by_a_tracer(session.pid):
         starts: list[asyncio.Task[Child]] = []
-        async with asyncio.timeout(60):
-            while session.is_alive:
-                starts.append(starting(session, "exit 3"))
-                await asyncio.wait(starts, timeout=0.05)
+        while session.is_alive:
+            starts.append(starting(session, "exit 3"))
+            await asyncio.wait(starts, timeout=0.05)
         for each in await asyncio.gather(*starts, return_exceptions=True):
             assert isinstance(each, SpawnError)
     await session.end()
@@ -148,8 +137,7 @@ async def test_ending_it_ends_what_is_awaited(guard: Path, tmp_path: Path) -> No
         start = starting(session, f"touch {ran}; exec sleep 600")
         await passes()
         ending = asyncio.create_task(session.end())
-        async with asyncio.timeout(60):
-            with pytest.raises(SpawnError):
-                await start
+        with pytest.raises(SpawnError):
+            await start
     await ending
     assert not ran.exists()

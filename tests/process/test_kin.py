@@ -1,4 +1,4 @@
-"""What came of a child is found and ended with it, also when it has left its session."""
+"""Descendants of a child are found and ended with it, also when it has left its session."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ async def test_a_daemon_that_is_deaf_is_killed_and_counted(session: SessionGuard
     has_ended = asyncio.Event()
     async with asyncio.timeout(60), asyncio.TaskGroup() as tasks:
         stopping = tasks.create_task(stop(child, policy, hurry=has_ended))
-        await child.wait()  # by itself; from then on there is a limit
+        await child.wait()  # unasked; from then on there is a limit
         has_ended.set()
         outcome = await stopping
     assert outcome.stragglers == 1
@@ -243,7 +243,7 @@ async def test_whose_a_process_is_stands_there_while_another_program_is_executed
         mark="1:/one",
     )
     await output.wait_line("ready")
-    marks = await asyncio.to_thread(lambda: {mark_of(child.pid) for _ in range(20_000)})
+    marks = await asyncio.to_thread(lambda: {mark_of(child.pid) for _ in range(5_000)})
     assert marks == {"1:/one"}
     child.send_signal(signal.SIGKILL)
     async with asyncio.timeout(60):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -33,6 +34,8 @@ from tests.process.programs import (
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from play_launch.process.guard import SessionGuard
+
 pytestmark = pytest.mark.anyio
 
 # Long enough that nothing but an answer ends a level in the tests about answers.
@@ -54,9 +57,9 @@ def test_levels_come_in_order_and_sigkill_last(
     assert all(step.limit > 0 for step in steps)
 
 
-async def ready(argv: list[str], guard: Path) -> tuple[Child, Output]:
+async def ready(argv: list[str], session: SessionGuard) -> tuple[Child, Output]:
     output = Output()
-    child = await spawn(argv, env=environment(), guard=guard, on_output=output)
+    child = await spawn(argv, env=environment(), guard=session, on_output=output)
     await output.wait_line("ready")
     return child, output
 
@@ -77,14 +80,14 @@ async def ready(argv: list[str], guard: Path) -> tuple[Child, Output]:
     ],
 )
 async def test_a_stop_ends_with_the_first_level_that_has_an_effect(
-    guard: Path,
+    session: SessionGuard,
     deaf: tuple[str, ...],
     policy: StopPolicy,
     can_ask: bool,
     level: StopLevel,
     signum: signal.Signals,
 ) -> None:
-    child, _ = await ready(deaf_to(*deaf) if deaf else python(READY_THEN_SLEEP), guard)
+    child, _ = await ready(deaf_to(*deaf) if deaf else python(READY_THEN_SLEEP), session)
 
     def ask() -> bool:
         return can_ask and child.send_signal(signal.SIGUSR1)  # stands for a message
@@ -95,19 +98,19 @@ async def test_a_stop_ends_with_the_first_level_that_has_an_effect(
     assert not exists(child.pid)
 
 
-async def test_a_frozen_process_can_still_go_in_order(guard: Path) -> None:
+async def test_a_frozen_process_can_still_go_in_order(session: SessionGuard) -> None:
     code = (
         "import signal, sys; signal.signal(signal.SIGTERM, lambda *_: sys.exit(5));"
         "signal.signal(signal.SIGINT, signal.SIG_IGN);" + READY_THEN_SLEEP
     )
-    child, _ = await ready(python(code), guard)
+    child, _ = await ready(python(code), session)
     child.send_signal(signal.SIGSTOP)
     outcome = await stop(child, StopPolicy(sigint=0.1, sigterm=30))
     assert (outcome.level, outcome.exit) == (StopLevel.SIGTERM, Exit(code=5))
 
 
-async def test_hurry_goes_through_the_levels(guard: Path) -> None:
-    child, _ = await ready(deaf_to("SIGINT", "SIGTERM"), guard)
+async def test_hurry_goes_through_the_levels(session: SessionGuard) -> None:
+    child, _ = await ready(deaf_to("SIGINT", "SIGTERM"), session)
     hurry = asyncio.Event()
     policy = StopPolicy(ask=600, sigint=600, sigterm=600, hurried=0.05)
     asked = asyncio.Event()
@@ -124,14 +127,6 @@ async def test_hurry_goes_through_the_levels(guard: Path) -> None:
     assert outcome.level is StopLevel.SIGKILL
 
 
-async def test_an_ended_process_needs_nothing(guard: Path) -> None:
-    child = await spawn(["/bin/true"], env=environment(), guard=guard)
-    await child.wait()
-    outcome = await stop(child, PATIENT)
-    assert (outcome.level, outcome.exit) == (StopLevel.NONE, Exit())
-    assert (await stop(child, PATIENT)).level is StopLevel.NONE
-
-
 # A parent that ends on SIGINT at once, and a child of it that takes its time or is deaf.
 FAMILY = (
     "import subprocess, sys, time\n"
@@ -143,7 +138,7 @@ FAMILY = (
 
 @pytest.mark.parametrize("extra", ["", ", process_group=0"], ids=["same group", "own group"])
 async def test_what_a_child_leaves_gets_its_time_too(
-    guard: Path, extra: str, tmp_path: Path
+    session: SessionGuard, extra: str, tmp_path: Path
 ) -> None:
     goodbye = tmp_path / "goodbye"
     slow = (
@@ -152,7 +147,7 @@ async def test_what_a_child_leaves_gets_its_time_too(
         f"    time.sleep(0.3); pathlib.Path({str(goodbye)!r}).touch(); sys.exit()\n"
         "signal.signal(signal.SIGINT, end); print('up', flush=True); time.sleep(600)\n"
     )
-    child, output = await ready([*python(FAMILY.format(extra=extra)), slow], guard)
+    child, output = await ready([*python(FAMILY.format(extra=extra)), slow], session)
     grandchild = int(await output.wait_line("ready"))
     outcome = await stop(child, PATIENT)
     assert (outcome.level, outcome.stragglers) == (StopLevel.SIGINT, 0)
@@ -160,18 +155,18 @@ async def test_what_a_child_leaves_gets_its_time_too(
     assert not exists(grandchild) or not read_stat(grandchild).is_alive
 
 
-async def test_deaf_leftovers_are_killed_and_counted(guard: Path) -> None:
+async def test_deaf_leftovers_are_killed_and_counted(session: SessionGuard) -> None:
     deaf = deaf_to("SIGINT", "SIGTERM")[-1]
-    child, output = await ready([*python(FAMILY.format(extra="")), deaf], guard)
+    child, output = await ready([*python(FAMILY.format(extra="")), deaf], session)
     grandchild = int(await output.wait_line("ready"))
     outcome = await stop(child, StopPolicy(sigint=0.3, sigterm=0.2))
     assert (outcome.level, outcome.stragglers) == (StopLevel.SIGINT, 1)
     assert not exists(grandchild) or not read_stat(grandchild).is_alive
 
 
-async def test_a_cancelled_stop_keeps_nobody_alive(guard: Path) -> None:
+async def test_a_cancelled_stop_keeps_nobody_alive(session: SessionGuard) -> None:
     deaf = deaf_to("SIGINT", "SIGTERM")[-1]
-    child, output = await ready([*python(FAMILY.format(extra="")), deaf], guard)
+    child, output = await ready([*python(FAMILY.format(extra="")), deaf], session)
     grandchild = int(await output.wait_line("ready"))
     stopping = asyncio.create_task(stop(child, PATIENT))
     await child.wait()
@@ -184,7 +179,7 @@ async def test_a_cancelled_stop_keeps_nobody_alive(guard: Path) -> None:
 
 
 async def test_who_waits_for_several_is_idle_after_the_end_of_the_first(
-    guard: Path, monkeypatch: pytest.MonkeyPatch
+    session: SessionGuard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A pidfd stays readable, so it may not stay in the loop."""
     woken = 0
@@ -195,7 +190,7 @@ async def test_who_waits_for_several_is_idle_after_the_end_of_the_first(
             woken += 1
             super().set()
 
-    first, second = [(await ready(python(READY_THEN_SLEEP), guard))[0] for _ in range(2)]
+    first, second = [(await ready(python(READY_THEN_SLEEP), session))[0] for _ in range(2)]
     monkeypatch.setattr(asyncio, "Event", Counting)
     waiting = asyncio.create_task(wait_all_ended([first.identity, second.identity]))
     first.send_signal(signal.SIGKILL)

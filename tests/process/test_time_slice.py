@@ -26,7 +26,7 @@ if sys.argv[1] == "without":
     os.setuid(65534)
 """
 IMPORTS = """
-import asyncio, os, resource, signal, sys
+import asyncio, os, resource, signal, subprocess, sys
 from pathlib import Path
 from threading import Event, Thread
 from play_launch.process.time_slice import (
@@ -60,7 +60,7 @@ def may_be_preferred() -> bool:
 
 
 def may_run_ahead() -> bool:
-    """Whether we may take a real-time policy: control groups can forbid it to those who may."""
+    """Whether a real-time policy is allowed: control groups can forbid it despite the privilege."""
     taking = "import os; os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))"
     done = subprocess.run([sys.executable, "-c", taking], check=False, stderr=subprocess.DEVNULL)
     return may_be_preferred() and done.returncode == 0 and OURS == 0
@@ -89,10 +89,12 @@ async def main():
     ask_for_short_turns()
     run_ahead()
     guard = SessionGuard.start(Path(sys.argv[2]))
-    for starter in (guard, None):
-        child = await spawn(["sleep", "1000"], env=os.environ, guard=starter)
-        show(child.pid)
-        os.kill(child.pid, signal.SIGKILL)
+    child = await spawn(["sleep", "1000"], env=os.environ, guard=guard)
+    ours = subprocess.Popen(["sleep", "1000"])
+    for pid in (child.pid, ours.pid):
+        show(pid)
+        os.kill(pid, signal.SIGKILL)
+    ours.wait()
     show(guard.pid)
     guard.close()
 
@@ -106,7 +108,7 @@ asyncio.run(main())
 @pytest.mark.parametrize("right", ["with", "without"])
 def test_what_a_guard_starts_has_the_usual_turns(guard: Path, right: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        # Where this runs, its own place may be for nobody else.
+        # Where this runs, its own place may be reserved.
         program = Path(shutil.copy(guard, folder))
         Path(folder).chmod(0o755)
         of_child, of_ours, of_guard = run(STARTING, right, program)

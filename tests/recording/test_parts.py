@@ -13,9 +13,8 @@ from rosbags.highlevel import AnyReader
 from play_launch.config.model import RotateConfig
 from play_launch.container.cdr.messages import log_message
 from play_launch.recording.bag import BagWriter
-from play_launch.recording.folder import part_path
+from play_launch.recording.folder import MAGIC, part_path
 from play_launch.recording.forms import convert
-from play_launch.recording.mcap_file import MAGIC
 from play_launch.recording.topics import OUTPUT, STATES, Topic, message_definition
 from play_launch.supervisor.events import ContainerState, ContainerStateChanged
 from tests.recording.reading import messages, raw_messages, records

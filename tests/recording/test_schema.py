@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.recording.errors import SchemaNotFoundError
-from play_launch.recording.topics import ALL_TOPICS, message_definition, search_prefixes
+from play_launch.recording.topics import ALL_TOPICS, message_definition
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -46,12 +46,6 @@ def test_an_overlay_goes_before_what_lies_under_it(tmp_path: Path) -> None:
     define(tmp_path / "under", "a/msg/Top", "int32 old\n")
     define(tmp_path / "over", "a/msg/Top", "int32 new\n")
     assert message_definition("a/msg/Top", (tmp_path / "over", tmp_path / "under")) == "int32 new\n"
-
-
-def test_search_prefixes_follow_the_environment(tmp_path: Path) -> None:
-    places = search_prefixes({"AMENT_PREFIX_PATH": f"{tmp_path / 'a'}:{tmp_path / 'b'}:"})
-    assert places[:2] == (tmp_path / "a", tmp_path / "b")
-    assert len(places) == 3
 
 
 def test_a_missing_definition_says_where_it_was_looked_for(tmp_path: Path) -> None:

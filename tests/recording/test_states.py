@@ -22,6 +22,7 @@ from play_launch.postmortem.events import event_of
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
+from play_launch.supervisor.endpoints import Endpoint
 from play_launch.supervisor.events import (
     ContainerState,
     ContainerStateChanged,
@@ -102,12 +103,26 @@ EVENTS = st.one_of(
     ),
 )
 
+ENDPOINTS = st.builds(
+    Endpoint,
+    topic=NAMES,
+    node=NAMES,
+    type=NAMES,
+    is_publisher=st.booleans(),
+    reliability=st.integers(0, 5),
+    durability=st.integers(0, 5),
+    liveliness=st.integers(0, 5),
+    deadline=st.integers(0, 2**63 - 1),
+    lease_duration=st.integers(0, 2**63 - 1),
+)
 GRAPH_CHANGES = st.builds(
     GraphChanged,
     stamp_ns=STAMPS,
     appeared=st.lists(NAMES, max_size=3).map(tuple),
     vanished=st.lists(NAMES, max_size=3).map(tuple),
     nodes=UINT32,
+    endpoints_appeared=st.lists(ENDPOINTS, max_size=3).map(tuple),
+    endpoints_vanished=st.lists(ENDPOINTS, max_size=3).map(tuple),
 )
 
 
@@ -190,7 +205,7 @@ def test_our_own_reader_gives_the_event_back(event: RunEvent) -> None:
         topic.metadata.get(topics.KIND, ""),
         topic.metadata.get(topics.KEY, ""),
     )
-    assert event_of(Message(read, 0, 0, data, channel=1, offset=0)) == event
+    assert event_of(Message(read, 0, 0, data, channel=1)) == event
 
 
 @pytest.mark.parametrize(

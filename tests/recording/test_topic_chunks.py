@@ -1,4 +1,4 @@
-"""Chunks that another process has made: where they come to stand, and what becomes of failures."""
+"""Chunks that another process has made: where they come to stand, and how failures end."""
 
 from __future__ import annotations
 

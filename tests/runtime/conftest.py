@@ -45,7 +45,7 @@ def _loop_is_never_blocked() -> Iterator[None]:
         listdir.can_block_in("process/processor_wait.py", "processor_wait")
         listdir.can_block_in("process/time_slice.py", "_threads")
         for name in ("os.stat", "os.access"):
-            blockbuster.functions[name].can_block_in("process/program.py", "check_program")
+            blockbuster.functions[name].can_block_in("process/guard.py", "check_program")
             blockbuster.functions[name].can_block_in("container/command.py", "find_executable")
             blockbuster.functions[name].can_block_in("container/command.py", "process_command")
         yield
@@ -53,6 +53,6 @@ def _loop_is_never_blocked() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def _processors_abound(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Time jumps here: what the kernel counts meanwhile says nothing."""
+    """Time jumps here: what the kernel counts meanwhile means nothing."""
     none = ProcessorWait(0.0, wants_one=False)
     monkeypatch.setattr(watch, "waits", lambda pid: (none, none))

@@ -20,12 +20,8 @@ from play_launch.config.model import (
     RestartLimits,
 )
 from play_launch.config.node_key import NodeKey
-from play_launch.container.channel import (
-    ChannelClosedError,
-    ControlChannel,
-    ControlError,
-    VersionMismatchError,
-)
+from play_launch.container.channel import ChannelClosedError, ControlChannel, VersionMismatchError
+from play_launch.container.codec import ControlError
 from play_launch.container.messages import (
     PROTOCOL_VERSION,
     Accepted,

@@ -1,4 +1,4 @@
-"""A stock container behind services that answer when the test says so."""
+"""A stock container behind services that answer when the test orders it."""
 
 from __future__ import annotations
 

@@ -6,7 +6,8 @@ import pytest
 from msgspec.structs import replace
 
 from play_launch.config.model import OnExit
-from play_launch.container.channel import ChannelClosedError, ProtocolViolationError
+from play_launch.container.channel import ChannelClosedError
+from play_launch.container.codec import ControlError
 from play_launch.container.messages import (
     Load,
 )
@@ -171,7 +172,7 @@ async def test_it_speaks_another_version() -> None:
 async def test_it_talks_nonsense() -> None:
     class Babbles(FakeContainer):
         def on_load(self, load: Load) -> None:
-            self.link.say(ProtocolViolationError("a frame of 4 GiB"))
+            self.link.say(ControlError("a frame of 4 GiB"))
 
     async with running(system(container("c", "a")), launcher(Babbles, FakeContainer)) as sys:
         await sys.until_loaded(1)

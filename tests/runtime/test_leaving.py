@@ -1,4 +1,4 @@
-"""What was asked to end and does not in time, or ends while somebody else acts on it."""
+"""What was asked to end and does not in time, or ends while another program acts on it."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ import pytest
 
 from play_launch.config.node_key import NodeKey
 from play_launch.control.actions import ActionLog, Actions
-from play_launch.control.actions import OperatorAction as Asked
 from play_launch.control.feed import Feed
 from play_launch.control.messages import ActionRequest, Caller, SignalRequest
-from play_launch.control.protocol import OperationError
+from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, OperationError
 from play_launch.supervisor.plan import PlanAction
 
 from .fakes import FakeContainer, FakeLauncher, container, process, system
@@ -88,19 +87,19 @@ class Late(ActionLog):
             yield
 
 
-@pytest.mark.parametrize("action", list(Asked))
+@pytest.mark.parametrize("action", [*MEMBER_ACTIONS, *NODE_ACTIONS, "signal"])
 @pytest.mark.parametrize("name", ["/p", "/box", "/stays"])
-async def test_what_is_taken_out_meanwhile_is_reported_as_such(action: Asked, name: str) -> None:
+async def test_what_is_taken_out_meanwhile_is_reported_as_such(action: str, name: str) -> None:
     is_node = name == "/stays"
-    for_nodes = action in {Asked.LOAD, Asked.UNLOAD, Asked.RELOAD}
-    if action is not Asked.SIGNAL and is_node is not for_nodes:
+    for_nodes = action in NODE_ACTIONS
+    if action != "signal" and is_node is not for_nodes:
         return
 
     async with running(BEFORE, FakeLauncher()) as sys:
         await sys.until_loaded(2)
         actions = Actions(sys.operated, sys.publisher, Feed(), Late(sys))
         request = ActionRequest(names=(name,))
-        if action is Asked.SIGNAL:
+        if action == "signal":
             request = SignalRequest(names=(name,), signal="USR1")
         with pytest.raises(OperationError, match="taken out of the system"):
             await actions.act(action, request, Caller(os.getpid(), 0))

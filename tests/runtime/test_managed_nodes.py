@@ -167,7 +167,7 @@ async def test_a_state_is_seen_although_its_event_gets_lost() -> None:
     ros = FakeRos()
     async with running(managed(Autostart.CONFIGURE), FakeLauncher(), ros=ros) as sys:
         await sys.until(lambda: State.INACTIVE in states(sys))
-        # Somebody else activates it before our subscription is known to the node.
+        # Another program activates it before our subscription is known to the node.
         ros.nodes[0].at = 3
         await sys.until(lambda: states(sys)[-1] is State.ACTIVE)
 

@@ -169,7 +169,7 @@ async def test_a_fault_of_our_own_stops_one_container_in_order_and_no_other() ->
 async def test_loads_fail_with_reasons_and_the_others_are_there() -> None:
     nodes = (
         node("throws", "ThrowingConstructor", reason="no such camera"),
-        node("nobody", "Nobody"),
+        node("absent", "Absent"),
         node("broken", "MissingSymbol", package="play_launch_broken"),
         node("a", "Talker"),
     )
@@ -178,7 +178,7 @@ async def test_loads_fail_with_reasons_and_the_others_are_there() -> None:
         await sys.until_loaded(1)
         reasons = {each.node: each.reason for each in sys.view.failed}
     assert "no such camera" in reasons["/throws"]
-    assert "Nobody" in reasons["/nobody"]
+    assert "Absent" in reasons["/absent"]
     assert reasons["/broken"]
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 1

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.config.node_key import NodeKey
-from play_launch.container.channel import ProtocolViolationError
+from play_launch.container.codec import ControlError
 from play_launch.process.exit import Exit
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind
 
@@ -119,7 +119,7 @@ async def test_nonsense_among_the_last_words_kills_nobody_later() -> None:
         def crash(self, signal: int = 11) -> None:
             self.process.on_end = lambda: None
             super().crash(signal)
-            self.link.say(ProtocolViolationError("a frame of 4 GiB"))
+            self.link.say(ControlError("a frame of 4 GiB"))
 
     fakes = FakeLauncher(makers={"/c": [DiesBabbling, FakeContainer]})
     async with running(system(container("c", "a")), fakes) as sys:
@@ -219,7 +219,7 @@ async def test_a_node_that_is_wanted_again_while_its_container_is_away_comes_wit
         assert states == [NodeState.LOADED, NodeState.UNLOADED]
 
 
-@pytest.mark.parametrize("key", [NodeKey("/c", "/x"), NodeKey("/nobody", "/a")])
+@pytest.mark.parametrize("key", [NodeKey("/c", "/x"), NodeKey("/absent", "/a")])
 async def test_an_operation_on_an_unknown_node_is_refused_to_its_caller(key: NodeKey) -> None:
     async with running(CONFIG, FakeLauncher()) as sys:
         await until_up(sys)

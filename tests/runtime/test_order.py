@@ -197,7 +197,7 @@ async def test_a_node_whose_dependency_fails_to_load_fails_with_the_reason() -> 
     async with running(config, fakes) as sys:
         await sys.until(lambda: GAVE_UP in sys.process_events("/p"))
         await sys.until(lambda: NodeState.LOAD_FAILED in sys.node_states("/b"))
-        # Who wants it all the same gets it.
+        # It starts on request all the same.
         sys.operated.start(NodeKey("/c", "/b"))
         await sys.until(lambda: NodeState.REQUESTED in sys.node_states("/b"))
     reason = sys.node_events("/b", NodeState.LOAD_FAILED)[0].reason

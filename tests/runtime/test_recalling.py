@@ -1,4 +1,4 @@
-"""What is being stopped is started again by somebody else, or replaced by a configuration."""
+"""What is being stopped is started again by another operator, or replaced by a configuration."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from play_launch.config.dependency import Condition, Dependency, StartRule
 from play_launch.config.model import OnExit, ReplayConfig
-from play_launch.control.actions import ActionLog, Actions, OperatorAction
+from play_launch.control.actions import ActionLog, Actions
 from play_launch.control.feed import Feed
 from play_launch.control.messages import ActionRequest, ActionResult, Caller, Results
 from play_launch.control.protocol import OperationError
@@ -43,7 +43,7 @@ def slow(sys: Running) -> None:
 async def stop(sys: Running, *names: str, timeout: float = 60.0) -> Results:
     actions = Actions(sys.operated, sys.publisher, Feed(), ActionLog(sys.publisher))
     request = ActionRequest(names=names, timeout=timeout)
-    return await actions.act(OperatorAction.STOP, request, Caller(os.getpid(), 0))
+    return await actions.act("stop", request, Caller(os.getpid(), 0))
 
 
 async def test_a_stop_ends_when_somebody_starts_it_again() -> None:

@@ -6,8 +6,8 @@ import asyncio
 
 import pytest
 
-from play_launch.container.channel import ChannelClosedError, ControlError
-from play_launch.container.codec import EncodeError
+from play_launch.container.channel import ChannelClosedError
+from play_launch.container.codec import ControlError, EncodeError
 from play_launch.container.messages import (
     Cancel,
     Hello,

@@ -65,7 +65,7 @@ def _all(first: int, last: int | None) -> int:
 def main() -> int:
     """Run it."""
     parser = argparse.ArgumentParser(prog="python -m tests.simulation", description=__doc__)
-    parser.add_argument("--seeds", metavar="FROM:TO", default="0:", help="without TO: for ever")
+    parser.add_argument("--seeds", metavar="FROM:TO", default="0:", help="without TO: endless")
     parser.add_argument("--seed", type=int, help="only this one")
     parser.add_argument("--trace", action="store_true", help="with --seed: the shortened trace")
     arguments = parser.parse_args()

@@ -1,4 +1,4 @@
-"""A person who types at random, another configuration included."""
+"""An operator that types at random, another configuration included."""
 
 from __future__ import annotations
 

@@ -173,7 +173,7 @@ class Processes:
             return
         if not proc.ignores_kill:
             delay = machine.soon(0.1, f"kill {unit}")
-        elif machine.chance.number(f"for ever {unit}") < 0.5:
+        elif machine.chance.number(f"endless {unit}") < 0.5:
             return
         else:
             delay = 60.0

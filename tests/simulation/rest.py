@@ -116,7 +116,7 @@ class RestChecks:
                     self._waits(unit)
             case Phase.STARTING if isinstance(process.config, ContainerConfig):
                 if not process.config.attach:
-                    raise BrokenError(WANTED, f"{unit} starts for ever", (unit,))
+                    raise BrokenError(WANTED, f"{unit} starts endlessly", (unit,))
             case _:
                 self._stays(process)
 
@@ -151,7 +151,7 @@ class RestChecks:
         starts = self._seen.starts[process.name]
         if not starts.start:
             raise BrokenError(WANTED, f"{process.name} never ran", (process.name,))
-        # It exited by itself, or a node that crashed had it stopped.
+        # It exited unasked, or a node that crashed had it stopped.
         if starts.ending is not None and starts.ending.was_stopped and not process.reason:
             raise BrokenError(WANTED, f"{process.name} is stopped", (process.name,))
 
@@ -214,7 +214,9 @@ class RestChecks:
         if goal is None:
             return
         name, _, is_node = unit.partition(":/")
-        live = machine.live(name)
+        # One that outlives SIGKILL is given up with its nodes.
+        is_stuck = name in self._seen.killed
+        live = [each for each in machine.live(name) if not (is_stuck and each.ignores_kill)]
         is_up = bool(live) and live[-1].is_ready
         if is_node:
             nodes = [] if not is_up else list(live[-1].nodes.values())

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 MOST_SEEDS: Final = 600
+FIRST: Final = (0, 400, 13, 45, 56, 164, 27, 10, 5, 34, 6, 62, 41, 7, 92, 17, 12, 228, 301, 244)
+"""Seeds each of which found a break that those before it did not; they are tried first."""
 
 
 class Break(NamedTuple):
@@ -50,7 +52,7 @@ def breaks() -> Iterator[Break]:
 def test_a_broken_rule_is_found(broken: Break, monkeypatch: pytest.MonkeyPatch) -> None:
     broken.apply(monkeypatch)
     others = set()
-    for seed in range(MOST_SEEDS):
+    for seed in (*FIRST, *range(MOST_SEEDS)):
         _, found = tried(seed)
         if found is not None and found.name == broken.found_by:
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -53,3 +54,28 @@ def test_a_file_holds_one_subject() -> None:
     names = tracked("*.py", "*.cpp", "*.hpp", "*.cmake", "CMakeLists.txt")
     lines = {name: len((ROOT / name).read_bytes().splitlines()) for name in names}
     assert not {name: count for name, count in lines.items() if count > LINES_PER_FILE}
+
+
+# Written so that the pattern does not match itself.
+MACHINE_PATHS = re.compile(r"(?<![\w.])/(?:work|root|home/[a-z]+)/[\w.]")
+
+
+def test_no_path_of_a_machine_is_in_the_tree() -> None:
+    listing = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True
+    )
+    found = []
+    for name in listing.stdout.split("\0"):
+        path = ROOT / name
+        if not name or not path.is_file():
+            continue
+        try:
+            text = path.read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            continue
+        found += [
+            f"{name}:{number}: {line.strip()[:100]}"
+            for number, line in enumerate(text.splitlines(), 1)
+            if MACHINE_PATHS.search(line)
+        ]
+    assert not found, "\n".join(found)

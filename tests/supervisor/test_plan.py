@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
     from play_launch.supervisor.plan import Plan, Step
 
-A_FEW = settings(max_examples=300, deadline=None)
+A_FEW = settings(max_examples=100, deadline=None)
 
 
 @st.composite

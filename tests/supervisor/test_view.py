@@ -95,7 +95,7 @@ def test_output_changes_nothing() -> None:
         ([RUNS], ExitCode.OK),
         ([RUNS, node(NodeState.LOADED), node(NodeState.LOADING, 1)], ExitCode.NODES_MISSING),
         ([RUNS, node(NodeState.LOST)], ExitCode.NODES_MISSING),
-        # Unloaded by itself, by its container or by somebody else.
+        # Unloaded on its own, by its container or by another program.
         ([RUNS, node(NodeState.UNLOADED)], ExitCode.NODES_MISSING),
         ([RUNS, node(NodeState.LOADED), node(NodeState.UNLOADED, 1)], ExitCode.NODES_MISSING),
         ([RUNS, node(NodeState.UNLOADING)], ExitCode.NODES_MISSING),
@@ -139,7 +139,7 @@ def test_only_a_crash_makes_a_stop_a_failure(end: ProcessEvent, code: ExitCode) 
     before = runs.after(replace(end, kind=ProcessEventKind.STARTED, pid=7))
     after = before.after(end)
     assert exit_code(before, after, None) == code
-    # Who had ended before was judged before.
+    # What had ended before was judged before.
     assert exit_code(after, after, None) == ExitCode.OK
 
 

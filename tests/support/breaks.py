@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import inspect
 import textwrap
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    import pytest
+import pytest
 
 
 def rewrite(patch: pytest.MonkeyPatch, rule: Callable[..., Any], old: str, new: str) -> None:

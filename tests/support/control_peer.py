@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import os
 import select
+import socket
 import struct
+import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from play_launch_msgs.msg import (
@@ -29,11 +31,6 @@ from play_launch_msgs.msg import (
 )
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rclpy.serialization import deserialize_message, serialize_message
-
-if TYPE_CHECKING:
-    import socket
-    import subprocess
-
 
 HELLO, LOAD, ACCEPTED, REJECTED, EVENT = 1, 2, 3, 4, 5
 QUERY, STATUS, CANCEL, UNLOAD, SHUTDOWN = 6, 7, 8, 9, 10
@@ -52,7 +49,7 @@ OUTGOING = {
     ControlUnload: UNLOAD,
     ControlShutdown: SHUTDOWN,
 }
-PATIENCE = 60.0
+TIMEOUT = 60.0
 """Seconds after which something that should have come is missed."""
 PAUSE = 0.01
 """Seconds between two looks at what has no event; without it, looking takes a processor."""
@@ -113,7 +110,7 @@ class Container:
     def receive(self, what: str = "a frame") -> Any:
         """The next message, in the order in which they were sent."""
         assert self.peer is not None
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TIMEOUT
         while True:
             if len(self._buffer) >= 4:
                 (length,) = struct.unpack_from("<I", self._buffer)
@@ -131,7 +128,7 @@ class Container:
             try:
                 data = self.peer.recv(65536)
             except TimeoutError:
-                pytest.fail(f"waited {PATIENCE} s for {what}; log:\n{self.log.read_text()}")
+                pytest.fail(f"waited {TIMEOUT} s for {what}; log:\n{self.log.read_text()}")
             if not data:
                 raise EOFError(f"the container closed the channel; log:\n{self.log.read_text()}")
             self._buffer += data
@@ -177,13 +174,13 @@ class Container:
 
     def status_when(self, done: Callable[[ControlStatus], bool], what: str) -> ControlStatus:
         """Ask for the status again and again, as a supervisor does, until it is ``done``."""
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TIMEOUT
         while not done(status := self.status()):
-            assert time.monotonic() < deadline, f"waited {PATIENCE} s for {what}: {status}"
+            assert time.monotonic() < deadline, f"waited {TIMEOUT} s for {what}: {status}"
             time.sleep(PAUSE)
         return status
 
-    def wait(self, timeout: float = PATIENCE) -> int:
+    def wait(self, timeout: float = TIMEOUT) -> int:
         """Wait until the process is gone; its exit status, or minus the signal."""
         ready, _, _ = select.select([self._pidfd], [], [], timeout)
         assert ready, f"still there after {timeout} s; log:\n{self.log.read_text()}"

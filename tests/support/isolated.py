@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 
 from play_launch.container.environment import find_allocator, for_isolation
-from tests.support.control_peer import PATIENCE, PAUSE, Container, StartContainer
+from tests.support.control_peer import PAUSE, TIMEOUT, Container, StartContainer
 
 MODES = {
     "isolated": ("--isolated",),
@@ -48,7 +48,7 @@ def children(container: Container) -> set[int]:
 
 def only_these_remain(container: Container, *pids: int) -> bool:
     """Wait until the container has no other processes; what cleans up may take a moment."""
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + TIMEOUT
     while (found := children(container)) != set(pids):
         if time.monotonic() > deadline:
             others = [_described(pid) for pid in sorted(found - set(pids))]

@@ -157,7 +157,7 @@ def replaying(
     """Run ``play-launch replay``; afterwards it is gone, and so is everything it started.
 
     With ``in_a_network`` it has a network of its own, with nothing but a loopback. ``program`` may
-    be another way to run the command. Who ends in order leaves no segment of Fast DDS.
+    be another way to run the command. An orderly exit leaves no segment of Fast DDS.
     """
     command = [*program, "replay", str(config), "--log-dir", str(log_dir), "--json", *arguments]
     process = subprocess.Popen(

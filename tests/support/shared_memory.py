@@ -29,7 +29,7 @@ def segments_of(pids: Iterable[int]) -> set[Path]:
 def ports_left_in(domain: int) -> set[str]:
     """Sweep, and return what dead participants of one domain had left.
 
-    Only ports show by their number whose they are; who is killed leaves its ports with its segment.
+    Only ports show their owner by their number; a killed process leaves its ports with its segment.
     """
     first = 7400 + 250 * domain
     ports = {

@@ -14,8 +14,8 @@ from pathlib import Path
 def slow_to_execute(program: Path) -> Iterator[Callable[[], bool]]:
     """Keep execve(2) of a program waiting until the block ends, or 45 s at the most.
 
-    By a lease of the file, see fcntl(2). Gives what says whether an execution waits. To be called
-    in the main thread.
+    By a lease of the file, see fcntl(2). Yields a function that tells whether an execution waits.
+    To be called in the main thread.
     """
     waiting = []
     before = signal.signal(signal.SIGIO, lambda *_: waiting.append(True))

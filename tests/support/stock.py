@@ -22,7 +22,7 @@ EXECUTABLE = "container"
 
 @dataclass(frozen=True)
 class Double:
-    """The double, installed; ``environment`` has to be that of whoever looks for it."""
+    """The double, installed; ``environment`` has to be that of the process that looks for it."""
 
     prefix: Path
     state: Path

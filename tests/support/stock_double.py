@@ -1,4 +1,4 @@
-"""A component container that nobody should have: it offers ROS's services and misbehaves.
+"""A component container for tests of faults: it offers ROS's services and misbehaves.
 
 It is run as a program, by the supervisor or by a test, and constructs nodes that are names only.
 What goes wrong is said by the nodes themselves: parameter ``faults`` is a list of strings, the

@@ -62,7 +62,7 @@ class Terminal:
     def _read(self) -> None:
         while not self._is_closing.is_set():
             self.is_reading.wait()
-            # A descriptor that somebody reads from is not closed by closing it.
+            # A descriptor that a thread reads from is not closed by closing it.
             if not select.select([self._ours], [], [], 0.05)[0]:
                 continue
             try:
@@ -95,7 +95,7 @@ class Terminal:
             return [line.rstrip() for line in self._screen.display]
 
     def line(self, what: str) -> str:
-        """The first line that has a text in it; empty: there is none."""
+        """The first line that has a text in it, or an empty one."""
         return next((line for line in self.lines() if what in line), "")
 
     def look(self, line: int, column: int) -> Any:
@@ -116,7 +116,7 @@ class Terminal:
         until(lambda: not self.line(what), f"{what!r} to leave the screen", limit)
 
     def unread(self) -> int:
-        """Bytes that the program has written and nobody has read."""
+        """Bytes that the program has written and that are unread."""
         (count,) = struct.unpack("i", fcntl.ioctl(self._ours, termios.FIONREAD, b"\0" * 4))
         return int(count)
 

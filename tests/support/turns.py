@@ -1,4 +1,4 @@
-"""A pytest plugin: who may run when, where pytest-xdist spreads the tests over processes.
+"""A pytest plugin: which test may run when, where pytest-xdist spreads the tests over processes.
 
 Tests run side by side, except those with the marker `alone`: while one of them runs, the other
 processes wait between two tests. Without pytest-xdist nothing is done.
@@ -26,14 +26,31 @@ _MARKER = (
     "share (Fast DDS's segments in /dev/shm), or has limits that a busy machine exceeds"
 )
 _INPUT = "play_launch_turns"
+LONGEST = (
+    "tests/packaging/test_native_programs.py",
+    "tests/style/test_style.py",
+    "tests/integration/test_apply.py",
+    "tests/container/test_crashes.py",
+    "tests/container/test_growth.py",
+    "tests/integration/test_crash_isolation.py",
+    "tests/integration/test_stock_containers.py",
+    "tests/integration/test_incidents.py",
+    "tests/integration/test_samples.py",
+    "tests/integration",
+    "tests/container",
+    "tests/control",
+    "tests/simulation",
+    "tests/cli/top",
+)
+"""Files and folders that take longest; begun first, so that all workers finish at the same time."""
 
 
 class Turns:
     """The place of one process among those that share a folder.
 
     Two locks, which the kernel releases when their process ends, however it ends: the room, that
-    many share or one has alone, and a gate before it. Whoever waits for the room holds the gate,
-    so that nobody overtakes who waits to be alone.
+    many share or one has alone, and a gate before it. A test that waits for the room holds the
+    gate, so that none overtakes one that waits to be alone.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -43,7 +60,7 @@ class Turns:
         self._is_alone = False
 
     def enter(self, *, alone: bool) -> None:
-        """Wait for the room; who has it alone may enter alone again."""
+        """Wait for the room; a test that has it alone may enter alone again."""
         if alone and self._is_alone:
             return
         # Two that exchange their share for the whole would wait for each other.
@@ -86,6 +103,12 @@ def _is_alone(item: pytest.Item) -> bool:
     return item.get_closest_marker("alone") is not None
 
 
+def _order(item: pytest.Item) -> tuple[bool, int]:
+    path = item.nodeid.partition("::")[0]
+    ranks = (rank for rank, start in enumerate(LONGEST) if path.startswith(start))
+    return _is_alone(item), next(ranks, len(LONGEST))
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """As many as keep the processors that we may use busy, where `-n auto` asks."""
@@ -102,8 +125,9 @@ def pytest_configure_node(node: Any) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Declare the marker; in a worker, take part."""
+    """Declare the marker and keep our order of files; in a worker, take part."""
     config.addinivalue_line("markers", _MARKER)
+    config.option.loadscopereorder = False
     folder = getattr(config, "workerinput", {}).get(_INPUT)
     if folder is not None:
         turns = config.stash[_TURNS] = Turns(Path(folder))
@@ -111,9 +135,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """What runs alone comes last and in one go, so that the others wait once."""
+    """The longest files come first, what runs alone last and in one go: the others wait once."""
     if _TURNS in config.stash:
-        items.sort(key=_is_alone)
+        items.sort(key=_order)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -69,10 +69,12 @@ std::string path_of(const link_map& library) {
   return std::filesystem::read_symlink("/proc/self/exe", error);
 }
 
-std::string build_id_of(const link_map& library) {
+std::string build_id_of(const link_map& library, std::uintptr_t code) {
   dl_find_object object{};
-  // Its dynamic section is in one of its mappings; the file's header begins the first of them.
-  if (::_dl_find_object(library.l_ld, &object) != 0) {
+  // The file's header begins the mapping with the unwind data. With gaps between the mappings
+  // (segments at 64 KiB, pages of 4: AArch64), that of the code is another one.
+  if (::_dl_find_object(reinterpret_cast<void*>(code), &object) != 0 ||
+      ::_dl_find_object(object.dlfo_eh_frame, &object) != 0) {
     return {};
   }
   const auto* const file = static_cast<const std::byte*>(object.dlfo_map_start);
@@ -124,17 +126,10 @@ DynamicSymbols::DynamicSymbols(const link_map& library) noexcept : base_(library
       case DT_GNU_HASH:
         count_ = symbol_count(reinterpret_cast<const std::uint32_t*>(table_at(*entry)));
         break;
-      case DT_JMPREL:
-        calls_ = reinterpret_cast<const ElfW(Rela)*>(table_at(*entry));
-        break;
-      case DT_PLTRELSZ:
-        call_count_ = entry->d_un.d_val / sizeof(ElfW(Rela));
-        break;
       default:
         break;
     }
   }
-  call_count_ = calls_ == nullptr ? 0 : call_count_;
 }
 
 /// The last exported function for which better(it, the one before it) held; null when the end came

@@ -25,8 +25,8 @@ const link_map* library_at(std::uintptr_t address) noexcept;
 std::string path_of(const link_map& library);
 
 /// Identifies the build of a loaded library or program, in hexadecimal; empty when it was linked
-/// without one. Takes no lock of the dynamic loader.
-std::string build_id_of(const link_map& library);
+/// without one. `code`: any address in its code. Takes no lock of the dynamic loader.
+std::string build_id_of(const link_map& library, std::uintptr_t code);
 
 /// What the dynamic section of a loaded library says about its symbols, read in the memory of this
 /// process. Async-signal-safe. The library must stay loaded.
@@ -50,25 +50,12 @@ class DynamicSymbols {
   /// Where the next exported function begins.
   std::uintptr_t gap_after(std::uintptr_t address) const noexcept;
 
-  /// Calls `visit` with the mangled name of each function that the library calls through its table
-  /// and has not itself, unless it can do without.
-  template <class Visit>
-  void for_each_import(Visit visit) const {
-    for (std::size_t i = 0; symbols_ != nullptr && names_ != nullptr && i < call_count_; ++i) {
-      const ElfW(Sym)& symbol = symbols_[ELF64_R_SYM(calls_[i].r_info)];
-      const char* const name = names_ + symbol.st_name;
-      if (symbol.st_shndx == SHN_UNDEF && ELF64_ST_BIND(symbol.st_info) != STB_WEAK &&
-          *name != '\0') {
-        visit(name);
-      }
-    }
-  }
-
-  /// Calls `visit` with the mangled name of each symbol that the library takes from others.
+  /// Calls `visit` with the mangled name of each symbol that the library takes from others, and
+  /// cannot do without.
   template <class Visit>
   void for_each_undefined(Visit visit) const {
     for (std::size_t i = 1; symbols_ != nullptr && names_ != nullptr && i < count_; ++i) {
-      if (symbols_[i].st_shndx == SHN_UNDEF) {
+      if (symbols_[i].st_shndx == SHN_UNDEF && ELF64_ST_BIND(symbols_[i].st_info) != STB_WEAK) {
         visit(names_ + symbols_[i].st_name);
       }
     }
@@ -82,8 +69,6 @@ class DynamicSymbols {
   const ElfW(Sym) * symbols_ = nullptr;
   const char* names_ = nullptr;
   std::size_t count_ = 0;
-  const ElfW(Rela) * calls_ = nullptr;
-  std::size_t call_count_ = 0;
 };
 
 /// The symbol table of a library or program on disk, unless it was stripped: it also has functions

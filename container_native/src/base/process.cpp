@@ -76,4 +76,12 @@ void set_core_dumps(bool dumps) noexcept {
   errno = error;
 }
 
+void grow_heap() noexcept {
+  // Smaller than what malloc() maps apart; the last one that is freed joins all of them.
+  constexpr std::size_t kPart = 120 * 1024;
+  std::array<void*, 12> parts{};
+  for (void*& part : parts) part = std::malloc(kPart);
+  for (void* part : parts) std::free(part);
+}
+
 }  // namespace play_launch

@@ -40,6 +40,11 @@ void set_core_dumps(bool dumps) noexcept;
 /// its shared memory behind, so one that leaves in order has to be gone before.
 constexpr std::chrono::milliseconds kOrphanGrace{700};
 
+/// Makes the heap of the calling thread large at once. glibc enlarges that of any thread but the
+/// first page by page, and each time stops the others of the process at their page faults. Memory
+/// that is not used stays free.
+void grow_heap() noexcept;
+
 /// The numbers that a folder of /proc lists: the threads in task, the descriptors in fd. Without
 /// the allocator that opendir() needs; async-signal-safe.
 class NumberList {

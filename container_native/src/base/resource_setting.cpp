@@ -197,15 +197,10 @@ std::vector<ResourceSetting> parse_resource_settings(const std::vector<std::stri
   return settings;
 }
 
-int apply(const ResourceSetting& setting) noexcept {
+bool apply_or_complain(const ResourceSetting& setting) noexcept {
   const int kept = errno;
   const int error = ask_kernel(setting);
   errno = kept;
-  return error;
-}
-
-bool apply_or_complain(const ResourceSetting& setting) noexcept {
-  const int error = apply(setting);
   if (error == 0 || !setting.is_required) {
     return true;
   }

@@ -39,11 +39,9 @@ std::optional<ResourceSetting> parse_resource_setting(std::string_view text);
 /// All of them, in their order. Throws std::invalid_argument that names the text.
 std::vector<ResourceSetting> parse_resource_settings(const std::vector<std::string>& texts);
 
-/// Asks the kernel; 0 or an error number. A limit that may not be raised so far gets as near as it
-/// may. Async-signal-safe, and keeps errno.
-int apply(const ResourceSetting& setting) noexcept;
-
-/// The same. False when it was refused and the process is to end, after a line on standard error.
+/// Asks the kernel. A limit that may not be raised so far gets as near as it may. False when it was
+/// refused and the process is to end, after a line on standard error. Async-signal-safe, and keeps
+/// errno.
 bool apply_or_complain(const ResourceSetting& setting) noexcept;
 
 /// Has the memory of this process stay in RAM: what is there now at once, and what comes later when

@@ -28,6 +28,17 @@ std::tuple<int, int> rank(Urgency urgency) {
 
 thread_local Rank* rank_of_thread = nullptr;
 
+/// CPUs that the calling thread may run on, at least 1.
+std::size_t usable_cpus() noexcept {
+  cpu_set_t cpus;
+  CPU_ZERO(&cpus);
+  // It fails where the machine has more than fit in there.
+  const std::size_t count = ::sched_getaffinity(0, sizeof cpus, &cpus) == 0
+                                ? static_cast<std::size_t>(CPU_COUNT(&cpus))
+                                : std::thread::hardware_concurrency();
+  return std::max<std::size_t>(count, 1);
+}
+
 }  // namespace
 
 static_assert(std::atomic<Urgency>::is_always_lock_free && kLeastUrgent.policy == SCHED_IDLE);
@@ -140,16 +151,6 @@ bool assume(pid_t thread, Urgency urgency) noexcept {
   const bool policy = ::sched_setscheduler(thread, urgency.policy, &parameter) == 0;
   errno = kept;
   return nice && policy;
-}
-
-std::size_t usable_cpus() noexcept {
-  cpu_set_t cpus;
-  CPU_ZERO(&cpus);
-  // It fails where the machine has more than fit in there.
-  const std::size_t count = ::sched_getaffinity(0, sizeof cpus, &cpus) == 0
-                                ? static_cast<std::size_t>(CPU_COUNT(&cpus))
-                                : std::thread::hardware_concurrency();
-  return std::max<std::size_t>(count, 1);
 }
 
 std::size_t executor_threads(std::size_t asked) noexcept {

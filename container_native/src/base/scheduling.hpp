@@ -82,9 +82,6 @@ class NotRealTime {
   Rank& rank_;
 };
 
-/// CPUs that the calling thread may run on, at least 1.
-std::size_t usable_cpus() noexcept;
-
 /// Threads for the executor of all nodes of a process: what was asked for, else one per usable CPU,
 /// but at least 2.
 std::size_t executor_threads(std::size_t asked) noexcept;

@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
 #include <cstdint>
 #include <system_error>
 
@@ -45,6 +46,16 @@ void notify_eventfd(int fd) noexcept {
   const std::uint64_t one = 1;
   // Fails only when the counter is full, and then all waiters are awake anyway.
   [[maybe_unused]] const ssize_t written = ::write(fd, &one, sizeof one);
+}
+
+int poll_timeout(std::chrono::steady_clock::time_point deadline) noexcept {
+  using std::chrono::steady_clock;
+  constexpr std::int64_t kLongest = 1'000'000;
+  if (deadline == steady_clock::time_point::max()) {
+    return -1;
+  }
+  const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - steady_clock::now());
+  return static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, kLongest));
 }
 
 void clear_eventfd(int fd) noexcept {

@@ -2,6 +2,7 @@
 
 #include <unistd.h>
 
+#include <chrono>
 #include <utility>
 
 namespace play_launch {
@@ -52,5 +53,8 @@ void notify_eventfd(int fd) noexcept;
 
 /// Forgets all notifications.
 void clear_eventfd(int fd) noexcept;
+
+/// Milliseconds that poll() has to wait for, rounded up; -1 for time_point::max().
+int poll_timeout(std::chrono::steady_clock::time_point deadline) noexcept;
 
 }  // namespace play_launch

@@ -38,23 +38,11 @@ std::string listed(const std::vector<std::string>& names) {
                   "; set AMENT_PREFIX_PATH to the prefixes where components are installed");
 }
 
-}  // namespace
-
-bool ComponentIndex::has_package(const std::string& package) const {
-  if (package.empty()) {
-    throw LoadError("the request names no package");
-  }
-  try {
-    return ament_index_cpp::has_resource(resource_type_, package);
-  } catch (const std::exception& error) {
-    no_index(error);
-  }
-}
-
-std::vector<std::string> ComponentIndex::packages() const {
+/// Packages with a resource of that type, sorted.
+std::vector<std::string> packages(const std::string& resource_type) {
   std::vector<std::string> names;
   try {
-    for (const auto& [name, prefix] : ament_index_cpp::get_resources(resource_type_)) {
+    for (const auto& [name, prefix] : ament_index_cpp::get_resources(resource_type)) {
       names.push_back(name);
     }
   } catch (const std::exception&) {
@@ -64,6 +52,11 @@ std::vector<std::string> ComponentIndex::packages() const {
   return names;
 }
 
+/// One entry of a resource: class and library.
+using IndexEntry = std::pair<std::string, std::string>;
+
+/// The lines of a resource; empty lines are skipped. Throws LoadError naming a line that has not
+/// the form "class;library".
 std::vector<IndexEntry> parse_component_resource(const std::string& content) {
   std::vector<IndexEntry> entries;
   std::istringstream lines(content);
@@ -82,6 +75,19 @@ std::vector<IndexEntry> parse_component_resource(const std::string& content) {
     entries.emplace_back(line.substr(0, separator), line.substr(separator + 1));
   }
   return entries;
+}
+
+}  // namespace
+
+bool ComponentIndex::has_package(const std::string& package) const {
+  if (package.empty()) {
+    throw LoadError("the request names no package");
+  }
+  try {
+    return ament_index_cpp::has_resource(resource_type_, package);
+  } catch (const std::exception& error) {
+    no_index(error);
+  }
 }
 
 std::filesystem::path ComponentIndex::library_of(const std::string& package,
@@ -126,7 +132,7 @@ std::string no_such_package(const std::string& package,
   std::vector<std::string> known;
   for (const ComponentIndex& index : indexes) {
     kinds += (kinds.empty() ? "" : ", ") + index.resource_type();
-    const std::vector<std::string> names = index.packages();
+    const std::vector<std::string> names = packages(index.resource_type());
     known.insert(known.end(), names.begin(), names.end());
   }
   std::string text = "package '" + package + "' has no components in the ament index (" + kinds +

@@ -10,7 +10,6 @@
 #include <play_launch/context.hpp>
 #include <play_launch/detail/stop_flag.hpp>
 #include <string>
-#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -28,9 +27,6 @@ class ComponentIndex {
   /// Whether the package has a resource of this type. Throws LoadError when there is no index.
   bool has_package(const std::string& package) const;
 
-  /// Packages with a resource of this type, sorted.
-  std::vector<std::string> packages() const;
-
   /// Library that has the class `plugin`. Throws LoadError: the package or the class is not there
   /// (the text names what is), or a line cannot be read.
   std::filesystem::path library_of(const std::string& package, const std::string& plugin) const;
@@ -40,13 +36,6 @@ class ComponentIndex {
  private:
   const std::string resource_type_;
 };
-
-/// One entry of a resource: class and library.
-using IndexEntry = std::pair<std::string, std::string>;
-
-/// The lines of a resource; empty lines are skipped. Throws LoadError naming a line that has not
-/// the form "class;library".
-std::vector<IndexEntry> parse_component_resource(const std::string& content);
 
 /// Why no backend knows `package`: where was looked, what is there, and how to change that.
 std::string no_such_package(const std::string& package, const std::vector<ComponentIndex>& indexes);
@@ -130,9 +119,6 @@ class ComponentBackend {
   ComponentBackend(const ComponentBackend&) = delete;
   ComponentBackend& operator=(const ComponentBackend&) = delete;
   virtual ~ComponentBackend() = default;
-
-  /// "native" or "rclcpp".
-  virtual std::string_view name() const = 0;
 
   /// The context that its nodes are made in. The container makes its own node in this one too, so
   /// that all share one participant.

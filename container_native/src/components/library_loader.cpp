@@ -1,10 +1,7 @@
 #include "components/library_loader.hpp"
 
-#include <dlfcn.h>
 #include <pthread.h>
 #include <string.h>
-#include <sys/syscall.h>
-#include <ucontext.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -68,24 +65,9 @@ std::string LibraryLoader::opening_for(std::uint64_t unique_id) const {
   return waiting_.contains(unique_id) && !orders_.empty() ? orders_.front()->path : "";
 }
 
-namespace {
-
-void look_up_type_supports_of(const char* library) {
-  if (void* const handle = ::dlopen(library, RTLD_LAZY | RTLD_NOLOAD)) {
-    isolation::look_up_type_supports(handle);
-    ::dlclose(handle);
-  }
-}
-
-}  // namespace
-
 void LibraryLoader::work() {
   ::pthread_setname_np(::pthread_self(), "loader");
   const OpeningGuard::Thread guarded;
-  // Those of the container's own services, which may come at any time: made amidst the first
-  // initialiser they would wait for its end, with a lock of the middleware that nodes need.
-  look_up_type_supports_of(nullptr);
-  look_up_type_supports_of("libplay_launch_component.so");
   std::unique_lock lock(mutex_);
   while (true) {
     changed_.wait(lock, [this] { return done_ || !orders_.empty(); });
@@ -106,7 +88,7 @@ void LibraryLoader::carry_out(Order& order) {
   try {
     const OpeningGuard guard(order.node, order.path);
     std::unique_ptr<ComponentLibrary> library = open_library(order.backend, order.path);
-    look_up_type_supports_of(order.path.c_str());
+    isolation::look_up_type_supports(order.path.c_str());
     const std::lock_guard lock(mutex_);
     open_.emplace(Key(&order.backend, order.path), std::move(library));
   } catch (...) {
@@ -169,17 +151,12 @@ void report_end(const char* how, const char* what) {
   text = nullptr;
 }
 
-/// Goes on as if there had been no handler: the process dies of the signal when this returns.
 void on_fault(int signal, siginfo_t* info, void* context) {
   const int error = errno;
   isolation::is_surviving(*info);  // in another thread, which reads what a crash has damaged
   const char* const name = ::sigabbrev_np(signal);
   report_end(name != nullptr ? "died of SIG" : "died of a signal", name != nullptr ? name : "");
-  struct sigaction action{};
-  action.sa_handler = SIG_DFL;
-  ::sigaction(signal, &action, nullptr);
-  ::syscall(SYS_rt_tgsigqueueinfo, ::getpid(), ::gettid(), signal, info);
-  sigdelset(&static_cast<ucontext_t*>(context)->uc_sigmask, signal);
+  isolation::die_in_place(signal, *info, context);
   errno = error;
 }
 

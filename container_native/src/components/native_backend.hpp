@@ -1,9 +1,7 @@
 #pragma once
 
 #include <memory>
-#include <optional>
 #include <string>
-#include <string_view>
 
 #include "components/component_backend.hpp"
 
@@ -14,7 +12,6 @@ class NativeBackend final : public ComponentBackend {
  public:
   explicit NativeBackend(std::shared_ptr<Context> context);
 
-  std::string_view name() const override { return "native"; }
   std::shared_ptr<Context> context() override { return context_; }
   const ComponentIndex& index() const override { return index_; }
   std::unique_ptr<ComponentLibrary> open(const std::string& path) override;

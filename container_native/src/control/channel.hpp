@@ -22,7 +22,7 @@ namespace play_launch::control {
 /// Environment variable with the number of the socket to the supervisor.
 inline constexpr const char* kSocketVariable = "PLAY_LAUNCH_CONTROL_FD";
 
-/// Receives what comes in on a Channel. All calls come from the channel's reader thread.
+/// Receives what comes in on a Channel. All calls come from the channel's thread.
 class ChannelHandler {
  public:
   virtual ~ChannelHandler() = default;
@@ -36,10 +36,11 @@ class ChannelHandler {
 
 /// One end of the control channel: frames over a stream socket.
 ///
-/// A thread reads, and another one writes what the socket does not take at once, so that no thread
-/// that sends or handles a frame ever waits for the peer. These frames wait in a queue of bounded
-/// length; one that finds it full is dropped and counted, which leaves the order of the others as
-/// it was.
+/// A thread reads, and writes what the socket does not take at once, so that no thread that sends
+/// or handles a frame ever waits for the peer. These frames wait in a queue of bounded length; one
+/// that finds it full is dropped and counted, which leaves the order of the others as it was. Once
+/// the peer has closed its end, or broken the protocol, only what the socket takes at once goes
+/// out.
 class Channel {
  public:
   static constexpr std::size_t kQueueCapacity = 4096;  // frames
@@ -49,7 +50,7 @@ class Channel {
   Channel& operator=(const Channel&) = delete;
   ~Channel();
 
-  /// Starts both threads. Until open_gate() incoming frames are left in the socket, but the end
+  /// Starts the thread. Until open_gate() incoming frames are left in the socket, but the end
   /// of the stream is noticed: a peer that dies while this process starts must not be missed.
   void start(ChannelHandler& handler);
   void open_gate();
@@ -74,20 +75,17 @@ class Channel {
   /// Frames that send() dropped since the start.
   std::uint64_t dropped() const { return dropped_.load(std::memory_order_relaxed); }
 
-  /// Ends both threads; frames still queued are lost. No call to the handler comes afterwards.
+  /// Ends the thread; frames still queued are lost. No call to the handler comes afterwards.
   void stop();
 
  private:
-  void read_loop();
-  void write_loop();
-  bool wait_readable();
-  std::size_t write_now(std::span<const std::uint8_t> bytes) noexcept;
-  bool write_all(std::span<const std::uint8_t> bytes);
+  void serve();
+  bool is_waiting_to_write();
+  void write_waiting();
 
   const UniqueFd socket_;
   const ino_t socket_inode_;
-  const UniqueFd wake_reader_;
-  const UniqueFd wake_writer_;
+  const UniqueFd wake_;
   const std::size_t capacity_;
   ChannelHandler* handler_ = nullptr;
 
@@ -98,11 +96,10 @@ class Channel {
   std::mutex mutex_;  // guards what follows
   std::condition_variable changed_;
   std::deque<std::vector<std::uint8_t>> queue_;
-  bool writing_ = false;  // a frame is out of the queue, but not wholly in the socket
-  bool broken_ = false;   // the peer does not read any more
+  std::size_t written_ = 0;  // of the first one in the queue, in bytes
+  bool broken_ = false;      // the peer does not read any more
 
-  std::thread reader_;
-  std::thread writer_;
+  std::thread thread_;
 };
 
 }  // namespace play_launch::control

@@ -13,6 +13,10 @@
 namespace play_launch::control {
 namespace {
 
+/// Bytes of the length field, and of kind and version behind it.
+constexpr std::size_t kLengthSize = 4;
+constexpr std::size_t kHeadSize = 4;
+
 void put_le(std::vector<std::uint8_t>& out, std::uint32_t value, std::size_t bytes) {
   for (std::size_t i = 0; i < bytes; ++i) {
     out.push_back(static_cast<std::uint8_t>(value >> (8 * i)));

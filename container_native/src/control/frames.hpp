@@ -27,10 +27,6 @@ enum class FrameKind : std::uint16_t {
 
 inline constexpr std::uint16_t kProtocolVersion = 1;
 
-/// Bytes of the length field, and of kind and version behind it.
-inline constexpr std::size_t kLengthSize = 4;
-inline constexpr std::size_t kHeadSize = 4;
-
 /// Largest value of the length field, in bytes.
 inline constexpr std::uint32_t kMaxFrameLength = 16U * 1024U * 1024U;
 
@@ -61,10 +57,9 @@ class FrameDecoder {
   /// Throws ProtocolError on an impossible length; the decoder is of no use afterwards.
   std::optional<Frame> next();
 
-  /// Bytes held that do not make a whole frame yet; not 0 at the end means a cut-off frame.
+ private:
   std::size_t pending() const { return buffer_.size() - start_; }
 
- private:
   std::vector<std::uint8_t> buffer_;
   std::size_t start_ = 0;
 };

@@ -26,9 +26,8 @@ struct NodeDeath {
   bool unquiesced = false;
 };
 
-/// Receives the ends of nodes. Every node ends with exactly one of on_load_failed,
-/// on_load_crashed, on_gone and on_crashed. Calls come from any thread, for one node never two at a
-/// time.
+/// Receives the ends of nodes. Every node ends with exactly one of on_load_failed, on_gone and
+/// on_died. Calls come from any thread, for one node never two at a time.
 class NodeHostObserver {
  public:
   virtual ~NodeHostObserver() = default;
@@ -41,13 +40,11 @@ class NodeHostObserver {
   /// unload() had been called.
   virtual bool on_loaded(std::uint64_t unique_id, const std::string& full_name) = 0;
   virtual void on_load_failed(std::uint64_t unique_id, const std::string& reason) = 0;
-  /// The process that was to hold the node died before on_loaded.
-  virtual void on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) = 0;
   /// The node is destroyed. `why` when it ended unrequested; empty: it was requested.
   virtual void on_gone(std::uint64_t unique_id, const std::string& why) = 0;
-  /// The process that held the node died after on_loaded, also while it was being unloaded.
-  virtual void on_crashed(std::uint64_t unique_id, const NodeDeath& death) = 0;
-  /// After on_load_crashed or on_crashed: what could be cleaned up is. `complete`: that is all.
+  /// The process of the node died, before on_loaded or after it, also while it was being unloaded.
+  virtual void on_died(std::uint64_t unique_id, const NodeDeath& death) = 0;
+  /// After on_died: what could be cleaned up is. `complete`: that is all.
   virtual void on_cleaned_up(std::uint64_t unique_id, bool complete) = 0;
 };
 

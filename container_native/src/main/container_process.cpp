@@ -10,6 +10,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
+#include <future>
 #include <play_launch/detail/running_node.hpp>
 #include <string>
 #include <utility>
@@ -23,6 +24,7 @@
 #include "isolation/crash/symbolise.hpp"
 #include "main/host_choice.hpp"
 #include "main/stop.hpp"
+#include "overrides/type_supports.hpp"
 
 namespace play_launch::container {
 namespace {
@@ -106,6 +108,16 @@ void ContainerProcess::start(int argc, const char* const* argv) {
     node_options.start_parameter_services = false;  // RosInterface does
     node_ = std::make_shared<Node>(kDefaultName, node_options);
   }
+  // RosInterface makes its services while libraries of nodes are opened. Amidst an initialiser it
+  // would wait for the dynamic loader, with a lock of the middleware that nodes need. What that
+  // asks for is known once there is a node.
+  std::future<void> types;
+  if (control_ && node_) {
+    types = std::async(std::launch::async, [] {
+      isolation::look_up_type_supports(nullptr);
+      isolation::look_up_type_supports("libplay_launch_component.so");
+    });
+  }
   const ExecutorChoice executor = choose_executor();
   auto greeting = hello(executor.threads, backend_names());
   HostChoice choice = choose_host(options_, executor, std::move(backends));
@@ -120,6 +132,9 @@ void ContainerProcess::start(int argc, const char* const* argv) {
   manager_ = std::make_unique<ObservableComponentManager>(*host_, process_);
   if (node_) {
     ros_ = std::make_unique<RosInterface>(node_, *manager_, control_.has_value());
+  }
+  if (types.valid()) {
+    types.get();
   }
   hit(Failpoint::before_hello);
   if (control_) {

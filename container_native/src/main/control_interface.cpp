@@ -232,7 +232,7 @@ void ControlInterface::handle_query(const Frame& frame) {
   status.dropped_frames = channel_.dropped();
   const DeathTotals totals = manager_->totals();
   status.crashes = totals.crashes;
-  status.undertaken = totals.undertaken;
+  status.undertaken = totals.cleaned_up;
   status.leaked = totals.leaked;
   status.unquiesced = totals.unquiesced;
   status.dead_locks = manager_->dead_locks();

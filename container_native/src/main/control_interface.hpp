@@ -46,8 +46,8 @@ class ControlInterface final : public EventSink, public control::ChannelHandler 
   StopRequests& stop_;
   const std::function<void()> on_lost_;
   ObservableComponentManager* manager_ = nullptr;
-  bool foreign_version_ = false;  // only the reader thread's
-  control::Channel channel_;      // last: its threads use the above
+  bool foreign_version_ = false;  // only the channel's thread's
+  control::Channel channel_;      // last: its thread uses the above
 };
 
 /// The socket that PLAY_LAUNCH_CONTROL_FD names, kept from programs that nodes start; the variable

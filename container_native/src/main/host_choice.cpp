@@ -57,6 +57,12 @@ HostChoice choose_host(const Options& options, const ExecutorChoice& executor,
   }
   choice.mechanism = isolation::mechanism_name(gate.mechanism);
   choice.notes = std::move(gate.notes);
+  if (!gate.limit.empty()) {
+    choice.notes.push_back(gate.limit);
+    if (options.core_dumps) {
+      report("core_dumps: no effect; " + gate.limit);
+    }
+  }
   if (gate.mechanism == isolation::Mechanism::shared_memory) {
     auto domains = choose_domains(options.memory_domains, choice.notes);
     choice.host = std::make_unique<CloneIsolatedHost>(std::move(backends), executor,

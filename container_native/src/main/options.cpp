@@ -1,8 +1,10 @@
 #include "main/options.hpp"
 
+#include <array>
 #include <charconv>
 #include <cmath>
 #include <string_view>
+#include <utility>
 
 namespace play_launch::container {
 namespace {
@@ -63,21 +65,30 @@ ResourceSetting resource(std::string_view text) {
   return *setting;
 }
 
-isolation::MechanismChoice mechanism(std::string_view text) {
-  const auto choice = isolation::parse_mechanism_choice(text);
-  if (!choice) {
-    throw UsageError("--isolation " + std::string(text) +
-                     ": expected auto, shared_memory or process");
-  }
-  return *choice;
-}
+template <class Choice>
+using Choices = std::array<std::pair<std::string_view, Choice>, 3>;
 
-DomainChoice domains(std::string_view text) {
-  const auto choice = parse_domain_choice(text);
-  if (!choice) {
-    throw UsageError("--memory_domains " + std::string(text) + ": expected off, auto or required");
+constexpr Choices<isolation::MechanismChoice> kMechanisms{{
+    {"auto", isolation::MechanismChoice::automatic},
+    {"shared_memory", isolation::MechanismChoice::shared_memory},
+    {"process", isolation::MechanismChoice::process},
+}};
+constexpr Choices<DomainChoice> kDomains{{
+    {"off", DomainChoice::off},
+    {"auto", DomainChoice::automatic},
+    {"required", DomainChoice::required},
+}};
+
+template <class Choice>
+Choice choice(std::string_view option, std::string_view text, const Choices<Choice>& choices) {
+  for (const auto& [name, value] : choices) {
+    if (name == text) {
+      return value;
+    }
   }
-  return *choice;
+  throw UsageError(std::string(option) + " " + std::string(text) + ": expected " +
+                   std::string(choices[0].first) + ", " + std::string(choices[1].first) + " or " +
+                   std::string(choices[2].first));
 }
 
 }  // namespace
@@ -101,9 +112,11 @@ Options parse_options(int argc, const char* const* argv) {
     } else if (argument == "--isolated") {
       options.isolated = true;
     } else if (is_option(argument, "--isolation")) {
-      options.isolation = mechanism(value_of("--isolation", i, argc, argv));
+      options.isolation =
+          choice("--isolation", value_of("--isolation", i, argc, argv), kMechanisms);
     } else if (is_option(argument, "--memory_domains")) {
-      options.memory_domains = domains(value_of("--memory_domains", i, argc, argv));
+      options.memory_domains =
+          choice("--memory_domains", value_of("--memory_domains", i, argc, argv), kDomains);
     } else if (argument == "--hosted") {
       options.hosted = true;
     } else if (argument == "--core_dumps") {

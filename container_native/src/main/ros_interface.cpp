@@ -7,12 +7,16 @@
 #include <string>
 #include <utility>
 
+#include "base/process.hpp"
+
 namespace play_launch::container {
 namespace {
 
 constexpr std::size_t kEventDepth = 100;
-/// A supervised container offers its services when its first loads are over, or after this time.
-constexpr std::chrono::seconds kFirstLoads{1};
+/// A supervised container offers its services kOthers after its first loads are over, or after
+/// kFirstLoads. Containers that start together load until about the same time.
+constexpr std::chrono::seconds kFirstLoads{4};
+constexpr std::chrono::seconds kOthers{1};
 
 bool ends_the_load(const ComponentEvent& event) {
   return event.event_type != ComponentEvent::LOADING;
@@ -56,6 +60,7 @@ RosInterface::RosInterface(std::shared_ptr<Node> node, ObservableComponentManage
   manager_.add_sink(*this);
   deliverer_ = std::thread([this] {
     ::pthread_setname_np(::pthread_self(), "events");
+    grow_heap();
     if (supervised_ && !offer_after_first_loads()) {
       return;
     }
@@ -85,7 +90,7 @@ bool RosInterface::offer_after_first_loads() {
   std::unique_lock lock(mutex_);
   changed_.wait_for(lock, kFirstLoads,
                     [this] { return leaving_ || (has_loaded_ && loading_.empty()); });
-  if (leaving_) {
+  if (changed_.wait_for(lock, kOthers, [this] { return leaving_; })) {
     return false;
   }
   offering_ = true;

@@ -29,7 +29,7 @@ class RosInterface final : public EventSink {
   static constexpr std::size_t kQueueCapacity = 4096;
 
   /// `supervised`: a supervisor gets the events over the control channel and reports them, so that
-  /// the log need not. Then everything is offered after the first loads only: a topic and nine
+  /// the log need not. Then everything is offered some time after the first loads: a topic and nine
   /// services in each container, which all others must discover, would compete with the nodes for
   /// which all callers wait. Events since the start are published nevertheless.
   RosInterface(std::shared_ptr<Node> node, ObservableComponentManager& manager, bool supervised);

@@ -5,9 +5,7 @@
 #include <signal.h>
 #include <unistd.h>
 
-#include <algorithm>
 #include <cerrno>
-#include <cstdint>
 
 #include "base/report.hpp"
 #include "base/unique_fd.hpp"
@@ -87,14 +85,8 @@ void StopRequests::request(StopCause cause) {
 void StopRequests::wake() { notify_eventfd(event_.get()); }
 
 void StopRequests::wait(SteadyTime deadline) {
-  int timeout_ms = -1;
-  if (deadline != SteadyTime::max()) {
-    const auto left =
-        std::chrono::ceil<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now());
-    timeout_ms = static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, 1'000'000));
-  }
   pollfd fd{event_.get(), POLLIN, 0};
-  if (::poll(&fd, 1, timeout_ms) > 0) {
+  if (::poll(&fd, 1, poll_timeout(deadline)) > 0) {
     clear_eventfd(event_.get());
   }
 }

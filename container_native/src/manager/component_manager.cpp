@@ -100,8 +100,13 @@ void ObservableComponentManager::remove_sink(EventSink& sink) {
 
 std::optional<std::string> ObservableComponentManager::load(const LoadRequest& request,
                                                             const OnAccepted& on_accepted) {
-  NodeTable::Wish wish{request.attempt, request.package_name, request.plugin_name,
-                       expected_full_name(request).value_or("")};
+  NodeEntry node;
+  node.attempt = request.attempt;
+  node.package_name = request.package_name;
+  node.plugin_name = request.plugin_name;
+  node.full_name = expected_full_name(request).value_or("");
+  node.process = process_;
+  node.since = Clock::now();
   const std::lock_guard lock(mutex_);
   if (stopping_) {
     return "the container is stopping";
@@ -109,30 +114,22 @@ std::optional<std::string> ObservableComponentManager::load(const LoadRequest& r
   if (table_.full()) {
     return "the container already has " + std::to_string(NodeTable::kMaxNodes) + " nodes";
   }
-  const NodeTable::Acceptance acceptance = table_.accept(wish, process_, Clock::now());
-  on_accepted(acceptance.unique_id);
+  const NodeTable::Acceptance acceptance = table_.accept(node);
+  on_accepted(node.unique_id);
   if (acceptance.repeated) {
     return std::nullopt;
   }
   hit(Failpoint::after_accept);
+  emit(node, ComponentEvent::LOADING);
   if (acceptance.conflict) {
-    NodeEntry entry;
-    entry.unique_id = acceptance.unique_id;
-    entry.attempt = wish.attempt;
-    entry.package_name = std::move(wish.package_name);
-    entry.plugin_name = std::move(wish.plugin_name);
-    entry.full_name = std::move(wish.expected_name);
-    entry.process = process_;
-    emit(entry, ComponentEvent::LOADING);
-    emit(entry, ComponentEvent::LOAD_FAILED, *acceptance.conflict);
+    emit(node, ComponentEvent::LOAD_FAILED, *acceptance.conflict);
     return std::nullopt;
   }
-  emit(*table_.find(acceptance.unique_id), ComponentEvent::LOADING);
   try {
-    host_.load(acceptance.unique_id, request);
+    host_.load(node.unique_id, request);
   } catch (const std::exception& error) {
-    const std::optional<NodeEntry> entry = table_.remove(acceptance.unique_id);
-    emit(*entry, ComponentEvent::LOAD_FAILED, std::string("cannot start loading: ") + error.what());
+    table_.remove(node.unique_id);
+    emit(node, ComponentEvent::LOAD_FAILED, std::string("cannot start loading: ") + error.what());
   }
   return std::nullopt;
 }
@@ -291,30 +288,22 @@ bool ObservableComponentManager::on_loaded(std::uint64_t unique_id, const std::s
 
 void ObservableComponentManager::on_load_failed(std::uint64_t unique_id,
                                                 const std::string& reason) {
-  load_failed(unique_id, reason, nullptr);
-}
-
-void ObservableComponentManager::on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) {
-  load_failed(unique_id, death.reason, &death);
-}
-
-void ObservableComponentManager::load_failed(std::uint64_t unique_id, const std::string& reason,
-                                             const NodeDeath* death) {
   const std::lock_guard lock(mutex_);
-  if (death != nullptr) {
-    count(*death);
+  if (const std::optional<NodeEntry> entry = table_.remove(unique_id)) {
+    load_failed(*entry, reason, nullptr);
   }
-  const std::optional<NodeEntry> entry = table_.remove(unique_id);
-  if (!entry) {
-    return;
-  }
+}
+
+/// `death` is null unless its process died.
+void ObservableComponentManager::load_failed(const NodeEntry& entry, const std::string& reason,
+                                             const NodeDeath* death) {
   ComponentEvent event =
-      event_of(*entry, entry->retired ? ComponentEvent::UNLOADED : ComponentEvent::LOAD_FAILED);
+      event_of(entry, entry.retired ? ComponentEvent::UNLOADED : ComponentEvent::LOAD_FAILED);
   event.error_message = reason;
-  if (entry->retired) {
+  if (entry.retired) {
     const bool was_ended = death != nullptr && !faulted(*death);
     event.error_message =
-        entry->verdict + "; " + (was_ended ? kNotInOrder : "loading failed as well: ") + reason;
+        entry.verdict + "; " + (was_ended ? kNotInOrder : "loading failed as well: ") + reason;
   }
   if (death != nullptr) {
     add_death(event, *death);
@@ -333,11 +322,16 @@ void ObservableComponentManager::on_gone(std::uint64_t unique_id, const std::str
   after_removal();
 }
 
-void ObservableComponentManager::on_crashed(std::uint64_t unique_id, const NodeDeath& death) {
+void ObservableComponentManager::on_died(std::uint64_t unique_id, const NodeDeath& death) {
   const std::lock_guard lock(mutex_);
-  count(death);
+  ++totals_.crashes;
+  totals_.unquiesced += death.unquiesced ? 1 : 0;
   const std::optional<NodeEntry> entry = table_.remove(unique_id);
   if (!entry) {
+    return;
+  }
+  if (entry->state == NodeState::constructing) {
+    load_failed(*entry, death.reason, &death);
     return;
   }
   ComponentEvent event = event_of(*entry, ComponentEvent::CRASHED);
@@ -357,12 +351,7 @@ void ObservableComponentManager::on_crashed(std::uint64_t unique_id, const NodeD
 
 void ObservableComponentManager::on_cleaned_up(std::uint64_t, bool complete) {
   const std::lock_guard lock(mutex_);
-  ++(complete ? totals_.undertaken : totals_.leaked);
-}
-
-void ObservableComponentManager::count(const NodeDeath& death) {
-  ++totals_.crashes;
-  totals_.unquiesced += death.unquiesced ? 1 : 0;
+  ++(complete ? totals_.cleaned_up : totals_.leaked);
 }
 
 void ObservableComponentManager::after_removal() {

@@ -41,7 +41,7 @@ struct NodeSnapshot {
 /// the same names in play_launch_msgs/ControlStatus.
 struct DeathTotals {
   std::uint32_t crashes = 0;
-  std::uint32_t undertaken = 0;
+  std::uint32_t cleaned_up = 0;
   std::uint32_t leaked = 0;
   std::uint32_t unquiesced = 0;
 };
@@ -95,17 +95,15 @@ class ObservableComponentManager final : public NodeHostObserver {
                        clockid_t cpu_clock) override;
   bool on_loaded(std::uint64_t unique_id, const std::string& full_name) override;
   void on_load_failed(std::uint64_t unique_id, const std::string& reason) override;
-  void on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) override;
   void on_gone(std::uint64_t unique_id, const std::string& why) override;
-  void on_crashed(std::uint64_t unique_id, const NodeDeath& death) override;
+  void on_died(std::uint64_t unique_id, const NodeDeath& death) override;
   void on_cleaned_up(std::uint64_t unique_id, bool complete) override;
 
  private:
   std::optional<std::string> retire(std::uint64_t unique_id, const OnAccepted& on_accepted,
                                     const std::string& verdict);
   bool start_unloading(std::uint64_t unique_id, std::string& why_not);
-  void load_failed(std::uint64_t unique_id, const std::string& reason, const NodeDeath* death);
-  void count(const NodeDeath& death);
+  void load_failed(const NodeEntry& entry, const std::string& reason, const NodeDeath* death);
   void emit(const NodeEntry& entry, std::uint8_t type, const std::string& error = {});
   void send(const ComponentEvent& event);
   NodeSnapshot snapshot(const NodeEntry& entry, SteadyTime now) const;

@@ -19,28 +19,19 @@ const char* describe(NodeState state) {
 
 }  // namespace
 
-NodeTable::Acceptance NodeTable::accept(const Wish& wish, ProcessIdentity process, SteadyTime now) {
-  if (wish.attempt != 0) {
-    const auto known = attempts_.find(wish.attempt);
-    if (known != attempts_.end()) {
-      return {known->second, true, std::nullopt};
-    }
+NodeTable::Acceptance NodeTable::accept(NodeEntry& node) {
+  const auto known = attempts_.find(node.attempt);
+  if (known != attempts_.end()) {
+    node.unique_id = known->second;
+    return {true, std::nullopt};
   }
-  const std::uint64_t unique_id = ++last_id_;
-  remember_attempt(wish.attempt, unique_id);
-  if (auto conflict = name_conflict(wish.expected_name)) {
-    return {unique_id, false, std::move(conflict)};
+  node.unique_id = ++last_id_;
+  remember_attempt(node.attempt, node.unique_id);
+  std::optional<std::string> conflict = name_conflict(node.full_name);
+  if (!conflict) {
+    entries_.emplace(node.unique_id, node);
   }
-  NodeEntry entry;
-  entry.unique_id = unique_id;
-  entry.attempt = wish.attempt;
-  entry.package_name = wish.package_name;
-  entry.plugin_name = wish.plugin_name;
-  entry.full_name = wish.expected_name;
-  entry.since = now;
-  entry.process = process;
-  entries_.emplace(unique_id, std::move(entry));
-  return {unique_id, false, std::nullopt};
+  return {false, std::move(conflict)};
 }
 
 void NodeTable::remember_attempt(std::uint64_t attempt, std::uint64_t unique_id) {

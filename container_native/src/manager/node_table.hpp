@@ -22,7 +22,7 @@ using SteadyTime = std::chrono::steady_clock::time_point;
 /// What the container knows of one node.
 struct NodeEntry {
   std::uint64_t unique_id = 0;
-  std::uint64_t attempt = 0;
+  std::uint64_t attempt = 0;  // 0: not numbered, never a repetition
   std::string package_name;
   std::string plugin_name;
   std::string full_name;  // empty while unknown
@@ -45,21 +45,14 @@ class NodeTable {
   /// Attempts that are remembered in order to recognise a repeated request.
   static constexpr std::size_t kMaxAttempts = 4096;
 
-  /// A new request to load.
-  struct Wish {
-    std::uint64_t attempt = 0;  // 0: not numbered, never a repetition
-    std::string package_name;
-    std::string plugin_name;
-    std::string expected_name;  // full name of the node; empty: not known before construction
-  };
   struct Acceptance {
-    std::uint64_t unique_id = 0;
     bool repeated = false;  // the attempt was accepted before; start nothing
     /// The name is taken: the load has failed for this reason, and there is no entry. A name that
     /// is not known before construction may be there several times, as in upstream's containers.
     std::optional<std::string> conflict;
   };
-  Acceptance accept(const Wish& wish, ProcessIdentity process, SteadyTime now);
+  /// Takes up a request to load what `node` says, and gives it its unique_id.
+  Acceptance accept(NodeEntry& node);
   bool full() const { return entries_.size() >= kMaxNodes; }
 
   /// Construction began in `process`.

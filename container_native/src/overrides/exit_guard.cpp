@@ -1,10 +1,8 @@
 #include "overrides/exit_guard.hpp"
 
-#include <dlfcn.h>
 #include <pthread.h>
 #include <signal.h>
 #include <sys/syscall.h>
-#include <threads.h>
 #include <unistd.h>
 
 #include <atomic>
@@ -17,6 +15,10 @@
 
 namespace play_launch::isolation {
 
+namespace {
+
+/// Ends the child alone, with its threads at rest as after a crash. `call` is what was called and
+/// means that, such as "exit()".
 [[noreturn]] void end_child(ChildRecord& child, int status, const char* call) noexcept {
   claim_end(child);
   CrashSlot& slot = *child.slot;
@@ -31,12 +33,9 @@ namespace play_launch::isolation {
   }
 }
 
-namespace {
-
 const NextFunction<"exit", void(int)> next_exit;
 const NextFunction<"quick_exit", void(int)> next_quick_exit;
 const NextFunction<"pthread_exit", void(void*)> next_pthread_exit;
-const NextFunction<"thrd_exit", void(int)> next_thrd_exit;
 const NextFunction<"pthread_cancel", int(pthread_t)> next_pthread_cancel;
 
 std::atomic<void (*)(const char*)> exit_hook{nullptr};
@@ -47,21 +46,9 @@ void end_container(const char* call) {
   }
 }
 
-/// The first thread only lends its name to a thread of the container, which must not end here.
-void end_with_first_thread(const char* call) noexcept {
-  ChildRecord* const child = current_child();
-  if (child != nullptr && ::gettid() == ::getpid()) {
-    end_child(*child, 0, call);
-  }
-}
-
 }  // namespace
 
 void set_exit_hook(void (*hook)(const char* call)) noexcept { exit_hook = hook; }
-
-bool exit_guard_is_effective() noexcept {
-  return ::dlsym(RTLD_DEFAULT, "exit") == reinterpret_cast<void*>(&::exit);
-}
 
 }  // namespace play_launch::isolation
 
@@ -69,12 +56,10 @@ using play_launch::isolation::ChildRecord;
 using play_launch::isolation::current_child;
 using play_launch::isolation::end_child;
 using play_launch::isolation::end_container;
-using play_launch::isolation::end_with_first_thread;
 using play_launch::isolation::next_exit;
 using play_launch::isolation::next_pthread_cancel;
 using play_launch::isolation::next_pthread_exit;
 using play_launch::isolation::next_quick_exit;
-using play_launch::isolation::next_thrd_exit;
 
 extern "C" {
 
@@ -114,15 +99,13 @@ extern "C" {
   std::abort();
 }
 
+/// The first thread only lends its name to a thread of the container, which must not end here.
 [[noreturn, gnu::visibility("default")]] void pthread_exit(void* result) {
-  end_with_first_thread("pthread_exit() in the first thread");
+  ChildRecord* const child = current_child();
+  if (child != nullptr && ::gettid() == ::getpid()) {
+    end_child(*child, 0, "pthread_exit() in the first thread");
+  }
   next_pthread_exit.get()(result);
-  std::abort();
-}
-
-[[noreturn, gnu::visibility("default")]] void thrd_exit(int result) {
-  end_with_first_thread("thrd_exit() in the first thread");
-  next_thrd_exit.get()(result);
   std::abort();
 }
 

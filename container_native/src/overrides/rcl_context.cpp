@@ -1,6 +1,5 @@
 #include "overrides/rcl_context.hpp"
 
-#include <dlfcn.h>
 #include <link.h>
 #include <rcl/init.h>
 #include <unistd.h>
@@ -10,6 +9,7 @@
 #include <play_launch/detail/running_node.hpp>
 #include <utility>
 
+#include "base/elf.hpp"
 #include "base/next_function.hpp"
 #include "isolation/record/child_record.hpp"
 
@@ -23,11 +23,8 @@ const NextFunction<"rcl_shutdown", rcl_ret_t(rcl_context_t*)> next_rcl_shutdown;
 
 /// The library that the code belongs to, without the loader's lock.
 std::string library_of(const void* code) {
-  dl_find_object found{};
-  if (::_dl_find_object(const_cast<void*>(code), &found) != 0 || found.dlfo_link_map == nullptr) {
-    return "a thread that no executor knows";
-  }
-  const std::string path = found.dlfo_link_map->l_name;
+  const link_map* const library = library_at(reinterpret_cast<std::uintptr_t>(code));
+  const std::string path = library != nullptr ? library->l_name : "";
   // The last call of a function leaves nothing of it on the stack: then it is the function that
   // starts threads.
   const bool is_known = !path.empty() && path.find("/libstdc++.so") == std::string::npos &&

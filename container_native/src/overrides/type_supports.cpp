@@ -191,32 +191,31 @@ const Type* type_support(void* library, const char* name) {
   return function != nullptr ? function() : nullptr;
 }
 
-void look_up_for_cpp(const link_map& map, void* library) {
-  DynamicSymbols(map).for_each_undefined([&](const char* name) {
+}  // namespace
+
+void look_up_type_supports(const char* library) {
+  void* const handle = ::dlopen(library, RTLD_LAZY | RTLD_NOLOAD);
+  const link_map* map = nullptr;
+  if (handle == nullptr || ::dlinfo(handle, RTLD_DI_LINKMAP, &map) != 0) {
+    return;
+  }
+  DynamicSymbols(*map).for_each_undefined([handle](const char* name) {
     const std::string_view text = name;
     if (text.starts_with(kMessageOf)) {
-      if (const Message* const type = type_support<Message>(library, name)) {
+      if (const Message* const type = type_support<Message>(handle, name)) {
         identifiers.for_each([type](const char* identifier) {
           rosidl_typesupport_cpp::get_message_typesupport_handle_function(type, identifier);
         });
       }
     } else if (text.starts_with(kServiceOf)) {
-      if (const Service* const type = type_support<Service>(library, name)) {
+      if (const Service* const type = type_support<Service>(handle, name)) {
         identifiers.for_each([type](const char* identifier) {
           rosidl_typesupport_cpp::get_service_typesupport_handle_function(type, identifier);
         });
       }
     }
   });
-}
-
-}  // namespace
-
-void look_up_type_supports(void* library) {
-  const link_map* map = nullptr;
-  if (::dlinfo(library, RTLD_DI_LINKMAP, &map) == 0) {
-    look_up_for_cpp(*map, library);
-  }
+  ::dlclose(handle);
 }
 
 }  // namespace play_launch::isolation

@@ -37,24 +37,6 @@ void end_logging() noexcept {
   if (--logging_users == 0 && rcl_logging_fini() != RCL_RET_OK) rcl_reset_error();
 }
 
-/// Options for rcl_init, finalised in every case.
-class InitOptions {
- public:
-  InitOptions() {
-    throw_unless_ok(rcl_init_options_init(&options_, rcl_get_default_allocator()),
-                    "prepare the options of a context");
-  }
-  ~InitOptions() {
-    if (rcl_init_options_fini(&options_) != RCL_RET_OK) rcl_reset_error();
-  }
-  InitOptions(const InitOptions&) = delete;
-  InitOptions& operator=(const InitOptions&) = delete;
-  [[nodiscard]] const rcl_init_options_t* rcl() const noexcept { return &options_; }
-
- private:
-  rcl_init_options_t options_ = rcl_get_zero_initialized_init_options();
-};
-
 }  // namespace
 
 Context::Context()
@@ -62,8 +44,17 @@ Context::Context()
 
 std::shared_ptr<Context> Context::create(int argc, const char* const* argv) {
   std::shared_ptr<Context> context(new Context());
-  const InitOptions options;
-  throw_unless_ok(rcl_init(argc, argv, options.rcl(), &context->own_), "initialise a context");
+  rcl_init_options_t options = rcl_get_zero_initialized_init_options();
+  throw_unless_ok(rcl_init_options_init(&options, rcl_get_default_allocator()),
+                  "prepare the options of a context");
+  const rcl_ret_t initialised = rcl_init(argc, argv, &options, &context->own_);
+  if (initialised != RCL_RET_OK) {
+    // What it says is of interest, not what follows.
+    const RclError error("initialise a context", initialised);
+    if (rcl_init_options_fini(&options) != RCL_RET_OK) rcl_reset_error();
+    throw error;
+  }
+  if (rcl_init_options_fini(&options) != RCL_RET_OK) rcl_reset_error();
   context->context_ = &context->own_;
   begin_logging(context->own_);
   context->owns_logging_ = true;

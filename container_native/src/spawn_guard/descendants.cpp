@@ -64,7 +64,7 @@ std::map<pid_t, Process> all_processes() {
 
 }  // namespace
 
-std::vector<pid_t> living_descendants(const std::set<pid_t>& spared) {
+void kill_descendants(const std::set<pid_t>& spared) {
   const std::map<pid_t, Process> processes = all_processes();
   const pid_t ours = ::getpid();
   std::vector<pid_t> found;
@@ -82,7 +82,11 @@ std::vector<pid_t> living_descendants(const std::set<pid_t>& spared) {
       at = here->second.parent;
     }
   }
-  return found;
+  // A pid that is found here belongs to a process that only its parent can wait for, and
+  // parents are killed in the same breath: until then, the pid is not reused.
+  for (const pid_t pid : found) {
+    ::kill(pid, SIGKILL);
+  }
 }
 
 std::vector<pid_t> children() {
@@ -98,14 +102,6 @@ std::vector<pid_t> children() {
     }
   }
   return found;
-}
-
-void kill_descendants(const std::set<pid_t>& spared) {
-  // A pid that is found here belongs to a process that only its parent can wait for, and
-  // parents are killed in the same breath: until then, the pid is not reused.
-  for (const pid_t pid : living_descendants(spared)) {
-    ::kill(pid, SIGKILL);
-  }
 }
 
 namespace {

@@ -9,16 +9,12 @@
 
 namespace play_launch::guard {
 
-/// What is below this process, at any depth, and lives.
-///
-/// Complete because this process is a subreaper: whatever of it is orphaned becomes its child.
-/// Children in `spared` and what is below them are left out.
-std::vector<pid_t> living_descendants(const std::set<pid_t>& spared);
-
 /// The children of the calling thread, those that have ended and were not waited for among them.
 std::vector<pid_t> children();
 
-/// Sends SIGKILL to what is below this process, but for `spared` and what is below those.
+/// Sends SIGKILL to what is below this process, at any depth, but for the children in `spared` and
+/// what is below those. Complete because this process is a subreaper: whatever of it is orphaned
+/// becomes its child.
 void kill_descendants(const std::set<pid_t>& spared);
 
 /// Removes a control group and those below it with whatever is in them, as far as that dies within

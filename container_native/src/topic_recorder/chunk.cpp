@@ -10,6 +10,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <span>
 #include <system_error>
 #include <utility>
 
@@ -54,8 +55,7 @@ std::uint32_t slice(std::uint32_t value, std::size_t table) {
          kTables[table - 2][(value >> 16) & 0xFF] ^ kTables[table - 3][value >> 24];
 }
 
-}  // namespace
-
+/// The checksum of zlib's crc32() and of MCAP.
 std::uint32_t crc32(std::span<const std::byte> data) {
   std::uint32_t sum = 0xFFFFFFFF;
   while (data.size() >= kStride) {
@@ -69,8 +69,6 @@ std::uint32_t crc32(std::span<const std::byte> data) {
   return ~sum;
 }
 
-namespace {
-
 /// What a file grows by.
 constexpr std::size_t kStep = 256 << 10;
 
@@ -82,47 +80,24 @@ MemoryFile::MemoryFile() : file_(::memfd_create("topics", MFD_CLOEXEC)) {
   }
 }
 
-MemoryFile::MemoryFile(MemoryFile&& other) noexcept
-    : file_(std::move(other.file_)),
-      data_(std::exchange(other.data_, nullptr)),
-      capacity_(std::exchange(other.capacity_, 0)) {}
-
-MemoryFile& MemoryFile::operator=(MemoryFile&& other) noexcept {
-  if (this != &other) {
-    close();
-    file_ = std::move(other.file_);
-    data_ = std::exchange(other.data_, nullptr);
-    capacity_ = std::exchange(other.capacity_, 0);
-  }
-  return *this;
-}
-
-MemoryFile::~MemoryFile() { close(); }
-
-void MemoryFile::close() {
-  if (data_ != nullptr) {
-    ::munmap(data_, capacity_);
-    data_ = nullptr;
-    capacity_ = 0;
-  }
-}
+void MemoryFile::Unmap::operator()(std::byte* data) const { ::munmap(data, size); }
 
 bool MemoryFile::reserve(std::size_t size) {
-  if (size <= capacity_) {
+  if (size <= capacity()) {
     return true;
   }
-  const std::size_t capacity = (size + kStep - 1) / kStep * kStep;
-  if (::ftruncate(file_.get(), static_cast<off_t>(capacity)) != 0) {
+  const std::size_t wanted = (size + kStep - 1) / kStep * kStep;
+  if (::ftruncate(file_.get(), static_cast<off_t>(wanted)) != 0) {
     return false;
   }
-  void* const place = data_ == nullptr ? ::mmap(nullptr, capacity, PROT_READ | PROT_WRITE,
-                                                MAP_SHARED, file_.get(), 0)
-                                       : ::mremap(data_, capacity_, capacity, MREMAP_MAYMOVE);
+  void* const place =
+      data_ ? ::mremap(data_.get(), capacity(), wanted, MREMAP_MAYMOVE)
+            : ::mmap(nullptr, wanted, PROT_READ | PROT_WRITE, MAP_SHARED, file_.get(), 0);
   if (place == MAP_FAILED) {
     return false;
   }
-  data_ = static_cast<std::byte*>(place);
-  capacity_ = capacity;
+  static_cast<void>(data_.release());
+  data_ = {static_cast<std::byte*>(place), Unmap{wanted}};
   return true;
 }
 

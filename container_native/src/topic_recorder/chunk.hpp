@@ -5,7 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <map>
-#include <span>
+#include <memory>
 #include <utility>
 #include <vector>
 
@@ -13,34 +13,27 @@
 
 namespace play_launch::topics {
 
-/// The checksum of zlib's crc32() and of MCAP.
-std::uint32_t crc32(std::span<const std::byte> data);
-
 /// A file in memory (memfd), mapped, that grows. Its descriptor can be handed to another process.
 class MemoryFile {
  public:
   /// Throws std::system_error.
   MemoryFile();
-  MemoryFile(MemoryFile&& other) noexcept;
-  MemoryFile& operator=(MemoryFile&& other) noexcept;
-  MemoryFile(const MemoryFile&) = delete;
-  MemoryFile& operator=(const MemoryFile&) = delete;
-  ~MemoryFile();
-
   [[nodiscard]] int descriptor() const { return file_.get(); }
   /// Moves when it grows.
-  [[nodiscard]] std::byte* data() const { return data_; }
-  [[nodiscard]] std::size_t capacity() const { return capacity_; }
+  [[nodiscard]] std::byte* data() const { return data_.get(); }
+  [[nodiscard]] std::size_t capacity() const { return data_ ? data_.get_deleter().size : 0; }
 
   /// Makes room for at least so many bytes; false when there is no memory.
   bool reserve(std::size_t size);
 
  private:
-  void close();
+  struct Unmap {
+    std::size_t size;
+    void operator()(std::byte* data) const;
+  };
 
   UniqueFd file_;
-  std::byte* data_ = nullptr;
-  std::size_t capacity_ = 0;
+  std::unique_ptr<std::byte, Unmap> data_;
 };
 
 /// What MCAP wants to know of a message beside its data; times in nanoseconds since the epoch.

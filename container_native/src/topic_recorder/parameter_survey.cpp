@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <exception>
+#include <iterator>
+#include <memory>
 #include <rosidl_typesupport_cpp/message_type_support.hpp>
 #include <rosidl_typesupport_cpp/service_type_support.hpp>
 #include <string>
@@ -147,81 +149,23 @@ std::optional<std::size_t> put(NodeParameters parameters, std::uint64_t now, Chu
 
 namespace {
 
-constexpr std::chrono::milliseconds kBetweenLooks{50};
+constexpr std::chrono::milliseconds kBetweenQueries{50};
+/// How long a node is left alone after it was found.
+constexpr std::chrono::seconds kRest{1};
+constexpr std::chrono::milliseconds kBetween{50};
+constexpr std::size_t kMostAtOnce = 4;
+/// After so many failures it is recorded that a node does not answer.
+constexpr int kFailures = 2;
+/// Limits the pause between two questions, which doubles with each failure.
+constexpr int kMostDoublings = 6;
 
 }  // namespace
 
-void ParameterSurvey::follow_graph(Time now) { plan_.see(node_.askable_nodes(), now); }
-
-void ParameterSurvey::go_on(Time now, const std::function<void(Parameters)>& on_result) {
-  while (const auto name = plan_.next(now)) {
-    begin(*name, now, on_result);
-  }
-  for (auto question = questions_.begin(); question != questions_.end();) {
-    std::optional<Parameters> result = result_of(*question, now);
-    if (!result) {
-      ++question;
-      continue;
-    }
-    question = questions_.erase(question);
-    settle(std::move(*result), now, on_result);
-  }
-}
-
-void ParameterSurvey::add_to(WaitSet& wait_set) const {
-  for (const ParameterQuestion& question : questions_) {
-    question.add_to(wait_set);
-  }
-}
-
-ParameterSurvey::Time ParameterSurvey::due(Time now) const {
-  Time first = plan_.due();
-  for (const ParameterQuestion& question : questions_) {
-    first = std::min(first, question.is_looking() ? now + kBetweenLooks : question.until());
-  }
-  return first;
-}
-
-std::optional<ParameterSurvey::Parameters> ParameterSurvey::result_of(ParameterQuestion& question,
-                                                                      Time now) {
-  const std::string name = question.name();
-  try {
-    return question.go_on(now);
-  } catch (const std::exception& error) {
-    Parameters failed;
-    failed.node = name;
-    failed.error = error.what();
-    return failed;
-  }
-}
-
-void ParameterSurvey::begin(const std::string& name, Time now,
-                            const std::function<void(Parameters)>& on_result) {
-  try {
-    questions_.emplace_back(node_, name, now + answer_timeout_);
-  } catch (const std::exception& error) {
-    Parameters failed;
-    failed.node = name;
-    failed.error = error.what();
-    settle(std::move(failed), now, on_result);
-  }
-}
-
-void ParameterSurvey::settle(Parameters result, Time now,
-                             const std::function<void(Parameters)>& on_result) {
-  if (result.error.empty()) {
-    plan_.answered(result.node, now);
-  } else if (!plan_.failed(result.node, now)) {
-    return;
-  }
-  on_result(std::move(result));
-}
-
-void AskingPlan::see(const std::vector<AskableNode>& nodes, Time now) {
+void ParameterSurvey::follow_graph(Time now) {
   for (auto& [name, entry] : entries_) {
     entry.gone = true;
   }
-  for (const AskableNode& node : nodes) {
+  for (const AskableNode& node : node_.askable_nodes()) {
     const auto [place, is_new] = entries_.try_emplace(node.name);
     Entry& entry = place->second;
     entry.gone = false;
@@ -230,70 +174,84 @@ void AskingPlan::see(const std::vector<AskableNode>& nodes, Time now) {
     }
     entry.lives = node.lives;
   }
-  std::erase_if(entries_, [](const auto& each) {
-    return each.second.gone && each.second.state != State::asked;
-  });
+  std::erase_if(entries_,
+                [](const auto& each) { return each.second.gone && !each.second.question; });
 }
 
-std::optional<std::string> AskingPlan::next(Time now) {
-  if (now < due()) {
-    return std::nullopt;
-  }
-  const auto place = std::ranges::find_if(entries_, [&](const auto& each) {
-    return each.second.state == State::waiting && each.second.due <= now;
-  });
-  if (place == entries_.end()) {
-    return std::nullopt;
-  }
-  place->second.state = State::asked;
-  ++asked_;
-  not_before_ = now + kBetween;
-  return place->first;
-}
-
-void AskingPlan::answered(const std::string& name, Time now) { settle(name, State::done, now); }
-
-bool AskingPlan::failed(const std::string& name, Time now) {
-  Entry& entry = entries_.at(name);
-  const bool is_given_up = ++entry.failures >= kMostFailures || entry.gone;
-  entry.due = now + before_another_;
-  settle(name, is_given_up ? State::done : State::waiting, now);
-  return is_given_up;
-}
-
-AskingPlan::Time AskingPlan::due() const {
-  Time first = Time::max();
-  if (asked_ < kMostAtOnce) {
-    for (const auto& [name, entry] : entries_) {
-      if (entry.state == State::waiting) {
-        first = std::min(first, entry.due);
-      }
-    }
-  }
-  return first == Time::max() ? first : std::max(first, not_before_);
-}
-
-void AskingPlan::begin(Entry& entry, Time now) {
-  if (entry.state == State::asked) {
-    entry.again = true;
-    return;
-  }
-  entry.state = State::waiting;
+void ParameterSurvey::begin(Entry& entry, Time now) {
+  entry.again = entry.question != nullptr;
   entry.due = now + kRest;
   entry.failures = 0;
 }
 
-void AskingPlan::settle(const std::string& name, State state, Time now) {
-  --asked_;
-  const auto place = entries_.find(name);
-  Entry& entry = place->second;
-  entry.state = state;
-  if (entry.gone) {
-    entries_.erase(place);
-  } else if (entry.again) {
-    entry.again = false;
+bool ParameterSurvey::may_ask() const { return asked_ < kMostAtOnce; }
+
+void ParameterSurvey::go_on(Time now, const OnResult& on_result) {
+  for (auto place = entries_.begin(); place != entries_.end();) {
+    auto& [name, entry] = *place;
+    const bool begins = !entry.question && entry.due <= now && may_ask() && now >= not_before_;
+    if (begins || entry.question) {
+      if (std::optional<Parameters> result = ask(name, entry, now)) {
+        settle(entry, std::move(*result), now, on_result);
+      }
+    }
+    place = entry.gone && !entry.question ? entries_.erase(place) : std::next(place);
+  }
+}
+
+/// Goes on with the question, which it begins if there is none; the result once there is one.
+std::optional<ParameterSurvey::Parameters> ParameterSurvey::ask(const std::string& name,
+                                                                Entry& entry, Time now) {
+  try {
+    if (!entry.question) {
+      not_before_ = now + kBetween;
+      entry.question = std::make_unique<ParameterQuestion>(node_, name, now + answer_timeout_);
+      ++asked_;
+    }
+    return entry.question->go_on(now);
+  } catch (const std::exception& error) {
+    Parameters failed;
+    failed.node = name;
+    failed.error = error.what();
+    return failed;
+  }
+}
+
+void ParameterSurvey::settle(Entry& entry, Parameters result, Time now, const OnResult& on_result) {
+  asked_ -= entry.question ? 1 : 0;
+  entry.question.reset();
+  const bool has_failed = !result.error.empty();
+  entry.due = Time::max();
+  if (has_failed) {
+    entry.due = now + answer_timeout_ * (1 << std::min(++entry.failures, kMostDoublings));
+  }
+  if (!has_failed || entry.failures == kFailures || entry.gone) {
+    on_result(std::move(result));
+  }
+  if (entry.again) {
     begin(entry, now);
   }
+}
+
+void ParameterSurvey::add_to(WaitSet& wait_set) const {
+  for (const auto& [name, entry] : entries_) {
+    if (entry.question) {
+      entry.question->add_to(wait_set);
+    }
+  }
+}
+
+ParameterSurvey::Time ParameterSurvey::due(Time now) const {
+  Time first = Time::max();
+  for (const auto& [name, entry] : entries_) {
+    if (entry.question) {
+      first = std::min(
+          first, entry.question->is_looking() ? now + kBetweenQueries : entry.question->until());
+    } else if (may_ask() && entry.due != Time::max()) {
+      first = std::min(first, std::max(entry.due, not_before_));
+    }
+  }
+  return first;
 }
 
 }  // namespace play_launch::topics

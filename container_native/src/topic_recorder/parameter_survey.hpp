@@ -4,8 +4,8 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
-#include <list>
 #include <map>
+#include <memory>
 #include <optional>
 #include <play_launch_msgs/msg/node_parameters.hpp>
 #include <rcl_interfaces/srv/get_parameters.hpp>
@@ -18,54 +18,6 @@
 #include "topic_recorder/ros.hpp"
 
 namespace play_launch::topics {
-
-/// Which node is asked for its parameters when: each once in each of its lives, and slowly.
-class AskingPlan {
- public:
-  using Time = std::chrono::steady_clock::time_point;
-
-  /// How long a node is left alone after it was found.
-  static constexpr std::chrono::seconds kRest{1};
-  static constexpr std::chrono::milliseconds kBetween{50};
-  static constexpr std::size_t kMostAtOnce = 4;
-  /// A node that does not answer is asked once more.
-  static constexpr int kMostFailures = 2;
-
-  /// `before_another` is the pause before that.
-  explicit AskingPlan(std::chrono::nanoseconds before_another) : before_another_(before_another) {}
-
-  /// Takes what the graph holds now.
-  void see(const std::vector<AskableNode>& nodes, Time now);
-  /// A node to ask now; `answered` or `failed` must follow.
-  std::optional<std::string> next(Time now);
-  void answered(const std::string& name, Time now);
-  /// Whether it is given up.
-  bool failed(const std::string& name, Time now);
-  /// When `next` may have one; Time::max() when it will not before something else has happened.
-  [[nodiscard]] Time due() const;
-
- private:
-  enum class State { waiting, asked, done };
-
-  struct Entry {
-    std::set<AskableNode::Life> lives;
-    State state = State::waiting;
-    /// When it is to be asked, if it is waiting.
-    Time due{};
-    int failures = 0;
-    /// It was found anew while it was asked.
-    bool again = false;
-    bool gone = false;
-  };
-
-  void begin(Entry& entry, Time now);
-  void settle(const std::string& name, State state, Time now);
-
-  const std::chrono::nanoseconds before_another_;
-  std::map<std::string, Entry> entries_;
-  std::size_t asked_ = 0;
-  Time not_before_{};
-};
 
 /// Asks one node which parameters it has, and then what they are.
 class ParameterQuestion {
@@ -105,36 +57,52 @@ class ParameterQuestion {
 std::optional<std::size_t> put(play_launch_msgs::msg::NodeParameters parameters, std::uint64_t now,
                                ChunkBuilder& chunk);
 
-/// Asks all nodes of the graph for their parameters, see AskingPlan.
+/// Asks all nodes of the graph for their parameters: each once in each of its lives, and slowly.
 class ParameterSurvey {
  public:
-  using Time = AskingPlan::Time;
-  using Parameters = play_launch_msgs::msg::NodeParameters;
+  using Time = ParameterQuestion::Time;
+  using Parameters = ParameterQuestion::Parameters;
+  using OnResult = std::function<void(Parameters)>;
 
   /// `answer_timeout` is how long a node may take for its answers.
   ParameterSurvey(RosNode& node, std::chrono::nanoseconds answer_timeout)
-      : node_(node), answer_timeout_(answer_timeout), plan_(2 * answer_timeout) {}
+      : node_(node), answer_timeout_(answer_timeout) {}
 
   /// Looks which nodes there are.
   void follow_graph(Time now);
-  /// Asks, and passes on what was answered or was not.
-  void go_on(Time now, const std::function<void(Parameters)>& on_result);
+  /// Asks, and passes on what was answered. That a node does not answer is passed on when it has
+  /// failed twice, or is gone; it is asked again and again, ever more rarely.
+  void go_on(Time now, const OnResult& on_result);
 
   /// How many clients `add_to` adds.
-  [[nodiscard]] std::size_t clients() const { return 2 * questions_.size(); }
+  [[nodiscard]] std::size_t clients() const { return 2 * asked_; }
   void add_to(WaitSet& wait_set) const;
   /// When `go_on` is to be called even though nothing has arrived.
   [[nodiscard]] Time due(Time now) const;
 
  private:
-  std::optional<Parameters> result_of(ParameterQuestion& question, Time now);
-  void begin(const std::string& name, Time now, const std::function<void(Parameters)>& on_result);
-  void settle(Parameters result, Time now, const std::function<void(Parameters)>& on_result);
+  struct Entry {
+    std::set<AskableNode::Life> lives;
+    /// When it is to be asked; Time::max() once it has answered.
+    Time due{};
+    int failures = 0;
+    /// It was found anew while it was asked.
+    bool again = false;
+    bool gone = false;
+    /// While it is asked.
+    std::unique_ptr<ParameterQuestion> question = nullptr;
+  };
+
+  [[nodiscard]] bool may_ask() const;
+  static void begin(Entry& entry, Time now);
+  std::optional<Parameters> ask(const std::string& name, Entry& entry, Time now);
+  void settle(Entry& entry, Parameters result, Time now, const OnResult& on_result);
 
   RosNode& node_;
   const std::chrono::nanoseconds answer_timeout_;
-  AskingPlan plan_;
-  std::list<ParameterQuestion> questions_;
+  std::map<std::string, Entry> entries_;
+  std::size_t asked_ = 0;
+  Time not_before_{};
 };
 
 }  // namespace play_launch::topics

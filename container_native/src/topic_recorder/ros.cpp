@@ -28,22 +28,6 @@ void ignore(rcl_ret_t result) {
   }
 }
 
-/// Options for rcl_init, finalised in every case.
-class InitOptions {
- public:
-  InitOptions() {
-    check(rcl_init_options_init(&options_, rcl_get_default_allocator()),
-          "prepare the options of a context");
-  }
-  InitOptions(const InitOptions&) = delete;
-  InitOptions& operator=(const InitOptions&) = delete;
-  ~InitOptions() { ignore(rcl_init_options_fini(&options_)); }
-  const rcl_init_options_t* rcl() const { return &options_; }
-
- private:
-  rcl_init_options_t options_ = rcl_get_zero_initialized_init_options();
-};
-
 using Lives = std::map<std::string, std::set<AskableNode::Life>>;
 
 /// By full name, those that publish changes of their parameters.
@@ -76,8 +60,12 @@ void check(rcl_ret_t result, const std::string& action) {
 }
 
 RosNode::RosNode() {
-  const InitOptions init;
-  check(rcl_init(0, nullptr, init.rcl(), &context_), "initialise a context");
+  rcl_init_options_t init = rcl_get_zero_initialized_init_options();
+  check(rcl_init_options_init(&init, rcl_get_default_allocator()),
+        "prepare the options of a context");
+  const rcl_ret_t initialised = rcl_init(0, nullptr, &init, &context_);
+  ignore(rcl_init_options_fini(&init));
+  check(initialised, "initialise a context");
   fastdds::replace_waits();
   rcl_node_options_t options = rcl_node_get_default_options();
   options.enable_rosout = false;

@@ -136,7 +136,7 @@ void test_an_expendable_child_does_not_count(DeadLockSearch& search) {
   std::atomic<bool> about_to_wait{false};
   ChildOptions options;
   options.expendable = true;
-  Child undertaker(
+  Child cleaning(
       [&](Program&) {
         about_to_wait = true;
         mutex.lock();
@@ -147,7 +147,7 @@ void test_an_expendable_child_does_not_count(DeadLockSearch& search) {
     CHECK(look(search).empty());
     std::this_thread::sleep_for(1ms);
   }
-  undertaker.kill();
+  cleaning.kill();
 }
 
 /// A living holder, a lock that a thread of a living child took away into its own end, a wait with

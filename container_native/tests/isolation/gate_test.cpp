@@ -35,10 +35,6 @@ void check_falls_back(const Facts& facts, const char* reason) {
 }
 
 void test_choices() {
-  CHECK(parse_mechanism_choice("auto") == MechanismChoice::automatic);
-  CHECK(parse_mechanism_choice("shared_memory") == MechanismChoice::shared_memory);
-  CHECK(parse_mechanism_choice("process") == MechanismChoice::process);
-  CHECK(!parse_mechanism_choice("threads"));
   CHECK(mechanism_name(Mechanism::shared_memory) == "shared_memory");
   CHECK(mechanism_name(Mechanism::process) == "process");
 }
@@ -48,6 +44,19 @@ void test_good_machine() {
   CHECK(gate.mechanism == Mechanism::shared_memory && gate.notes.empty());
   const Gate asked = choose_mechanism(MechanismChoice::process, good_machine());
   CHECK(asked.mechanism == Mechanism::process && asked.notes.empty());
+}
+
+void test_a_kernel_whose_core_dumps_spread() {
+  Facts facts = good_machine();
+  facts.kernel_release = "5.15.0-generic";
+  facts.probe.ends_by_kill = true;
+  for (const MechanismChoice choice :
+       {MechanismChoice::automatic, MechanismChoice::shared_memory}) {
+    const Gate gate = choose_mechanism(choice, facts);
+    CHECK(gate.mechanism == Mechanism::shared_memory && gate.notes.empty());
+    CHECK(contains(gate.limit, "5.15.0-generic") && contains(gate.limit, "leave no core"));
+  }
+  CHECK(choose_mechanism(MechanismChoice::process, facts).limit.empty());
 }
 
 void test_machines_that_cannot_share_memory() {
@@ -136,6 +145,7 @@ void test_this_machine() {
 int main() {
   test_choices();
   test_good_machine();
+  test_a_kernel_whose_core_dumps_spread();
   test_machines_that_cannot_share_memory();
   test_no_descriptors_of_processes();
   test_waits_that_cannot_be_read();

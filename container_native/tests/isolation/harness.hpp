@@ -9,6 +9,7 @@
 #include <chrono>
 #include <cstdint>
 #include <cstdio>
+#include <cstdlib>
 #include <functional>
 #include <string>
 #include <utility>
@@ -18,10 +19,17 @@
 #include "isolation/clone/donor_thread.hpp"
 #include "isolation/crash/crash_handler.hpp"
 #include "isolation/crash/symbolise.hpp"
+#include "isolation/record/own_signals.hpp"
 
 namespace isolation_test {
 
 using namespace play_launch::isolation;
+
+/// With ENDS_BY_KILL in the environment the programs do what the gate does where core dumps spread.
+inline const bool ends_by_kill = [] {
+  end_children_by_kill(std::getenv("ENDS_BY_KILL") != nullptr);
+  return children_end_by_kill();
+}();
 
 /// A program from a function; cancel() sets `cancelled`.
 class Program final : public ChildProgram {

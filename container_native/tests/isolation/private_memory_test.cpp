@@ -164,7 +164,7 @@ void serves_threads() {
 }
 
 /// Where a thread died with the lock, in the middle of anything.
-void can_be_buried() {
+void can_be_cleaned_up() {
   const auto memory = PrivateMemory::create(kCommonKey, kSmall);
   auto* const left = new (memory->allocate(sizeof(std::pmr::vector<int>)))
       std::pmr::vector<int>({1, 2, 3}, memory.get());
@@ -274,7 +274,7 @@ int main() {
   gives_large_pieces_back_to_the_kernel();
   takes_what_addresses_there_are();
   serves_threads();
-  can_be_buried();
+  can_be_cleaned_up();
   a_child_finds_its_own();
   the_allocator_is_one();
   keys_are_shared_evenly();

@@ -362,7 +362,7 @@ void test_destroying_what_the_dead_left() {
     ChildEnd cleanup;
     DonorThread donor("donor", [&] {
       crash = run_in_child(crashing, slot);
-      cleanup = run_in_child(cleaning, slot, {.name = "undertaker", .time_limit = 2s});
+      cleanup = run_in_child(cleaning, slot, {.name = "cleanup", .time_limit = 2s});
     });
     donor.join();
     CHECK(crash.signal == SIGABRT);

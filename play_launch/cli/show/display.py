@@ -12,6 +12,7 @@ from typing import IO, TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.cli.output import counted, duration, redirect_to_devnull
 from play_launch.cli.show.lines import DisplayLine, format_lines, line_of, missed_line
+from play_launch.config.text import listed
 from play_launch.control.event_words import because, event_object
 from play_launch.process.exit import Exit
 from play_launch.supervisor.events import (
@@ -338,5 +339,4 @@ def _waited(since_ns: int, now_ns: int) -> str:
 
 
 def node_names(nodes: tuple[NodeStateChanged, ...]) -> str:
-    more = f" and {len(nodes) - 1} more" if len(nodes) > 1 else ""
-    return f"{nodes[0].node}{more}"
+    return listed([node.node for node in nodes], 1)

@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import termios
-from typing import IO, TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final
 
 from play_launch.cli import options
 from play_launch.cli.connection import connected, report_end
@@ -16,7 +16,7 @@ from play_launch.cli.output import is_terminal, redirect_to_devnull, wants_colou
 from play_launch.control.protocol import Code, OperationError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator
     from types import FrameType
 
     from play_launch.cli.top.app import ScreenEnd
@@ -33,8 +33,7 @@ def top(session: options.Session = None) -> int:
     Leaving it changes nothing in the session. For programs: ps --json, events -f --json.
     """
     with connected(session) as client:
-        if reason := objection((sys.stdout, sys.stdin, sys.stderr), os.environ):
-            raise OperationError(Code.BAD_ARGUMENTS, reason)
+        _require_terminal()
         try:
             import textual  # noqa: F401, PLC0415 - an extra
         except ModuleNotFoundError:
@@ -51,22 +50,22 @@ def top(session: options.Session = None) -> int:
     return report_end(client.hello, end.reason) if end.is_lost else 0
 
 
-def objection(streams: tuple[IO[str], IO[str], IO[str]], environment: Mapping[str, str]) -> str:
-    """Reason why no screen can be shown, with the fix; empty: it can."""
-    names = ("standard output", "standard input", "standard error")
-    for stream, name in zip(streams, names, strict=True):
+def _require_terminal() -> None:
+    streams = {"output": sys.stdout, "input": sys.stdin, "error": sys.stderr}
+    for name, stream in streams.items():
         if not is_terminal(stream):
-            return (
-                f"top needs a terminal, and {name} is not one; play-launch ps lists what runs, and "
-                "play-launch logs -f follows the output"
+            raise OperationError(
+                Code.BAD_ARGUMENTS,
+                f"top needs a terminal, and standard {name} is not one; play-launch ps lists what "
+                "runs, and play-launch logs -f follows the output",
             )
-    term = environment.get("TERM", "")
+    term = os.environ.get("TERM", "")
     if term in {"", "dumb", "unknown"}:
-        return (
+        raise OperationError(
+            Code.BAD_ARGUMENTS,
             f"top moves the cursor, and a terminal with TERM={term or '(not set)'} cannot; set "
-            "TERM to the type of the terminal (xterm-256color, for example), or use play-launch ps"
+            "TERM to the type of the terminal (xterm-256color, for example), or use play-launch ps",
         )
-    return ""
 
 
 async def _show(client: ControlClient) -> ScreenEnd:

@@ -22,6 +22,7 @@ from play_launch.cli.top import model
 from play_launch.cli.top.link import POLL_INTERVAL, SessionLink
 from play_launch.cli.top.modals import FilterPrompt, Help, Question
 from play_launch.control.protocol import OperationError
+from play_launch.control.units import full_name, target_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from play_launch.control.client import ControlClient
+    from play_launch.control.messages import UnitRow
+    from play_launch.control.units import Target
 
 _FRAME: Final = 0.1
 """Least seconds between two updates of the widgets."""
@@ -89,9 +92,9 @@ class TopApp(App[ScreenEnd]):
         self.hello = client.hello
         self._client = client
         self._link: SessionLink | None = None
-        self.rows: list[model.TopRow] | None = None  # until the session has answered
-        self.shown: list[model.TopRow] = []
-        self._selected: model.RowId | None = None
+        self.rows: list[UnitRow] | None = None  # until the session has answered
+        self.shown: list[UnitRow] = []
+        self._selected: Target | None = None
         self.order = model.Order.DECLARED
         self.is_reversed = False
         self.pattern = ""
@@ -106,7 +109,7 @@ class TopApp(App[ScreenEnd]):
         self._message = ""
         self._is_stale = True
         self._layout: tuple[int, int] = (0, 0)
-        self._drawn: list[tuple[model.RowId, list[Text]]] = []
+        self._drawn: list[tuple[Target, list[Text]]] = []
         self._footer: tuple[object, ...] = ()
 
     def compose(self) -> ComposeResult:
@@ -143,7 +146,7 @@ class TopApp(App[ScreenEnd]):
 
     # Messages of the session.
 
-    def on_rows(self, rows: Sequence[model.TopRow]) -> None:
+    def on_rows(self, rows: Sequence[UnitRow]) -> None:
         """Show the rows of an answer to ``ps``."""
         self.rows = list(rows)
         self._last.declare(rows)
@@ -165,7 +168,7 @@ class TopApp(App[ScreenEnd]):
 
     def on_outcome(self, done: model.Confirmation, failure: str) -> None:
         """Show the outcome of an operation; no failure: it succeeded."""
-        name = model.clean(done.subject.name)
+        name = model.clean(full_name(done.target))
         self._show_message(
             f"{done.operation} {name} failed: {model.clean(failure)}"
             if failure
@@ -201,7 +204,7 @@ class TopApp(App[ScreenEnd]):
             self.log_view.scroll_to(y=y, animate=False, immediate=True)
         elif self.shown:
             index = max(0, min(self._index() + rows, len(self.shown) - 1))
-            self._selected = self.shown[index].subject
+            self._selected = target_of(self.shown[index])
         self._show_message("")
 
     def action_move_pages(self, pages: int) -> None:
@@ -222,15 +225,16 @@ class TopApp(App[ScreenEnd]):
 
     def action_only_selected(self) -> None:
         row = self.selected
-        subject = None if row is None or row.subject == self.log_filter.subject else row.subject
-        self._filter_log(replace(self.log_filter, subject=subject))
+        target = target_of(row) if row else None
+        only = None if target == self.log_filter.target else target
+        self._filter_log(replace(self.log_filter, target=only))
 
     def action_next_level(self) -> None:
         self._filter_log(replace(self.log_filter, level=model.following(self.log_filter.level)))
 
     def action_show_all(self) -> None:
         self._message = ""
-        self._filter_log(replace(self.log_filter, subject=None))
+        self._filter_log(replace(self.log_filter, target=None))
         self.filter_names("")
 
     def action_help(self) -> None:
@@ -267,7 +271,7 @@ class TopApp(App[ScreenEnd]):
     # State.
 
     @property
-    def selected(self) -> model.TopRow | None:
+    def selected(self) -> UnitRow | None:
         return self.shown[self._index()] if self.shown else None
 
     @property
@@ -276,14 +280,14 @@ class TopApp(App[ScreenEnd]):
 
     def _index(self) -> int:
         for index, row in enumerate(self.shown):
-            if row.subject == self._selected:
+            if target_of(row) == self._selected:
                 return index
         return max(0, min(self._table.cursor_row, len(self.shown) - 1))
 
     def _arrange(self) -> None:
         chosen = model.matching(self.rows or (), self.pattern)
         self.shown = model.ordered(chosen, self.order, is_reversed=self.is_reversed)
-        self._selected = self.selected.subject if self.selected else None
+        self._selected = target_of(self.selected) if self.selected else None
         self._draw()
 
     def _filter_log(self, wanted: model.LogFilter) -> None:
@@ -338,8 +342,9 @@ class TopApp(App[ScreenEnd]):
         names = [model.name_of(row, is_tree=is_tree) for row in self.shown]
         name_cells, last = model.name_width(names, width), self._last.last
         drawn = [
-            (row.subject, model.cells_of(row, name, name_cells, last.get(row.subject, "")))
+            (target, model.cells_of(row, name, name_cells, last.get(target, "")))
             for row, name in zip(self.shown, names, strict=True)
+            for target in (target_of(row),)
         ]
         if self._layout != (width, name_cells):
             self._layout = width, name_cells
@@ -349,7 +354,7 @@ class TopApp(App[ScreenEnd]):
             for title, size in {"NAME": name_cells, **model.WIDTHS, " LAST LINE": rest}.items():
                 is_figure = title not in {"NAME", "STATE", " LAST LINE"}
                 table.add_column(Text(title, justify="right" if is_figure else "left"), width=size)
-        if [subject for subject, _ in drawn] == [subject for subject, _ in self._drawn]:
+        if [target for target, _ in drawn] == [target for target, _ in self._drawn]:
             for y, ((_, new), (_, old)) in enumerate(zip(drawn, self._drawn, strict=True)):
                 for x, cell in enumerate(new):
                     if cell != old[x] or cell.style != old[x].style:
@@ -390,12 +395,12 @@ class TopApp(App[ScreenEnd]):
             return f"no name matches {model.clean(self.pattern)!r}"
         end = f"exit code {row.exit_code}" if row.exit_code else ""
         end = f"ended by signal {row.signal}" if row.signal else end
-        parts = (row.subject.target, row.kind, end, row.reason)
+        parts = (str(target_of(row)), row.kind, end, row.reason)
         return ", ".join(model.clean(part) for part in parts if part)
 
     def _log_title_text(self) -> str:
         chosen = self.log_filter
-        name = "all" if chosen.subject is None else model.clean(chosen.subject.name)
+        name = "all" if chosen.target is None else model.clean(full_name(chosen.target))
         parts = [f"LOG of {name}"]
         if chosen.level is not model.LeastLevel.ALL:
             parts.append(f"{chosen.level.name.lower()} and above")

@@ -6,7 +6,9 @@ import asyncio
 import time
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.cli.top.model import rows_of
+import msgspec
+
+from play_launch.control.messages import UnitRow
 from play_launch.control.protocol import OperationError
 
 if TYPE_CHECKING:
@@ -58,7 +60,7 @@ class SessionLink:
 
     def carry_out(self, confirmed: Confirmation) -> None:
         """Request an operation; raises OperationError. The outcome goes to the application."""
-        names = [confirmed.subject.target]
+        names = [str(confirmed.target)]
         self._pending[self._client.request(confirmed.operation, {"names": names})] = confirmed
 
     def _read(self) -> None:
@@ -78,7 +80,7 @@ class SessionLink:
         elif number == self._rows:
             self._rows = None
             if failure is None:
-                self._app.on_rows(rows_of(message["result"]))
+                self._app.on_rows(msgspec.convert(message["result"], list[UnitRow], strict=False))
             if self._events is None:
                 # Lines are assigned to rows, so rows are requested first.
                 kinds = [*_LINES, *_CHANGES]

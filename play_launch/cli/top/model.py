@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from enum import Enum, IntEnum, StrEnum
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-import msgspec
 from msgspec import Struct
 from rich.cells import cell_len, set_cell_size
 from rich.text import Text
 
 from play_launch.cli.output import clock, duration, printable, size
+from play_launch.control.event_words import OWN_NAME
 from play_launch.control.feed import CONSOLE_FORMAT, logger_of
 from play_launch.control.messages import UnitRow
+from play_launch.control.protocol import NODE_ACTIONS
+from play_launch.control.units import Target, target_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -41,31 +43,6 @@ def clean(text: str) -> str:
     return f"{shown}…" if len(text) > TEXT_LIMIT else shown
 
 
-class RowId(NamedTuple):
-    """Identity of a row for as long as it is declared."""
-
-    container: str | None
-    """Full name of the container of a composable node, else None."""
-    name: str
-
-    @property
-    def target(self) -> str:
-        """Unambiguous name in operations."""
-        return f"{self.container}:{self.name}" if self.container else self.name
-
-
-class TopRow(UnitRow, frozen=True):
-    """One object of ``ps`` (docs/control.md)."""
-
-    @property
-    def subject(self) -> RowId:
-        return RowId(self.container, self.name)
-
-
-def rows_of(result: Any) -> list[TopRow]:
-    return msgspec.convert(result, list[TopRow], strict=False)
-
-
 class Health(Enum):
     """Class of a state, worst first; the value is the style of the cell."""
 
@@ -85,7 +62,7 @@ _HEALTH: Final = {
 }
 
 
-def health(row: TopRow) -> Health:
+def health(row: UnitRow) -> Health:
     """Classify a row; an unknown state counts as changing."""
     if row.state == "exited" and (row.exit_code or row.signal):
         return Health.FAILED
@@ -109,7 +86,7 @@ def following(choice: _Choice) -> _Choice:
     return members[(members.index(choice) + 1) % len(members)]
 
 
-_KEYS: Final[dict[Order, Callable[[TopRow], Any]]] = {
+_KEYS: Final[dict[Order, Callable[[UnitRow], Any]]] = {
     Order.NAME: lambda row: row.name,
     Order.STATE: lambda row: (list(Health).index(health(row)), row.state),
     Order.CPU: lambda row: None if row.cpu_percent is None else -row.cpu_percent,
@@ -120,7 +97,7 @@ _KEYS: Final[dict[Order, Callable[[TopRow], Any]]] = {
 """First: the worst state, the most memory, the latest start."""
 
 
-def ordered(rows: Sequence[TopRow], order: Order, *, is_reversed: bool = False) -> list[TopRow]:
+def ordered(rows: Sequence[UnitRow], order: Order, *, is_reversed: bool = False) -> list[UnitRow]:
     """Sort rows; equal ones stay as declared, unknown values come last in either direction."""
     if order is Order.DECLARED:
         return list(reversed(rows)) if is_reversed else list(rows)
@@ -130,7 +107,7 @@ def ordered(rows: Sequence[TopRow], order: Order, *, is_reversed: bool = False) 
     return [*sorted(known, key=key, reverse=is_reversed), *unknown]
 
 
-def matching(rows: Iterable[TopRow], pattern: str) -> list[TopRow]:
+def matching(rows: Iterable[UnitRow], pattern: str) -> list[UnitRow]:
     """Choose rows by name.
 
     Args:
@@ -140,15 +117,15 @@ def matching(rows: Iterable[TopRow], pattern: str) -> list[TopRow]:
     """
     wanted = pattern.strip().lower()
     is_pattern = any(character in wanted for character in "*?[")
-    found: list[TopRow] = []
+    found: list[UnitRow] = []
     for row in rows:
-        name = (row.subject.target if ":" in wanted else row.name).lower()
+        name = (str(target_of(row)) if ":" in wanted else row.name).lower()
         if not wanted or (fnmatchcase(name, wanted) if is_pattern else wanted in name):
             found.append(row)
     return found
 
 
-def counted(rows: Sequence[TopRow]) -> str:
+def counted(rows: Sequence[UnitRow]) -> str:
     """Summarise the system: ``7 of 9 up, 1 failed, 1 inactive``."""
     states = [health(row) for row in rows]
     words = {Health.FAILED: "failed", Health.CHANGING: "changing", Health.INACTIVE: "inactive"}
@@ -163,7 +140,7 @@ WIDTHS: Final = {"STATE": 12, "PID": 7, "UP": 7, "RST": 5, "CPU%": 6, "MEM": 6}
 _NAME_LEAST: Final = 16
 
 
-def name_of(row: TopRow, *, is_tree: bool) -> str:
+def name_of(row: UnitRow, *, is_tree: bool) -> str:
     """Return the clean name; in the tree, nodes are indented below their container."""
     return f"{'  ' if is_tree and row.container else ''}{clean(row.name)}"
 
@@ -175,7 +152,7 @@ def name_width(names: Iterable[str], width: int) -> int:
     return max(min(longest, int(left * 0.6)), _NAME_LEAST)
 
 
-def cells_of(row: TopRow, name: str, width: int, last_line: str) -> list[Text]:
+def cells_of(row: UnitRow, name: str, width: int, last_line: str) -> list[Text]:
     """Make the cells of a row; a name too long for its width loses its beginning."""
     if cell_len(name) >= width:
         name = f"…{set_cell_size(name[::-1], width - 2)[::-1]}"
@@ -217,22 +194,21 @@ OPERATIONS: Final = {
     "load": ("s", "loaded"),
 }
 """Key and participle of each."""
-_FOR_NODES: Final = frozenset({"reload", "unload", "load"})
 
 
 class Confirmation(Struct, frozen=True):
     """An operation and the question before it."""
 
     operation: str
-    subject: RowId
+    target: Target
     question: str
 
 
-def suits(operation: str, row: TopRow) -> bool:
-    return (operation in _FOR_NODES) == (row.kind == COMPONENT)
+def suits(operation: str, row: UnitRow) -> bool:
+    return (operation in NODE_ACTIONS) == (row.kind == COMPONENT)
 
 
-def confirmation(operation: str, row: TopRow, rows: Iterable[TopRow]) -> Confirmation:
+def confirmation(operation: str, row: UnitRow, rows: Iterable[UnitRow]) -> Confirmation:
     """Make the question about an operation, with the nodes that it affects besides."""
     loaded = sum(row.name == each.container and each.state == "loaded" for each in rows)
     impact = ""
@@ -240,14 +216,13 @@ def confirmation(operation: str, row: TopRow, rows: Iterable[TopRow]) -> Confirm
         nodes = "node" if loaded == 1 else f"{loaded} nodes"
         impact = f" Its {nodes} will be {'unloaded' if operation == 'stop' else 'reloaded'}."
     question = f"{operation} {clean(row.name)}?{impact}"
-    return Confirmation(operation, row.subject, question)
+    return Confirmation(operation, target_of(row), question)
 
 
 # The log.
 
 LINES_LIMIT: Final = 5000
 """Lines that are kept."""
-OWN_NAME: Final = "play-launch"
 
 
 class LeastLevel(IntEnum):
@@ -286,20 +261,19 @@ class LogFilter(Struct, frozen=True):
     """Which lines are shown."""
 
     level: LeastLevel = LeastLevel.ALL
-    subject: RowId | None = None
+    target: Target | None = None
     """None: lines of all, the supervisor included."""
 
     def wants(self, line: LogLine) -> bool:
         if line.level < self.level:
             return False
-        if self.subject is None:
+        if self.target is None:
             return True
-        container, name = self.subject
-        if container is None:
-            return line.process == name
-        own = logger_of(name)
+        if isinstance(self.target, str):
+            return line.process == self.target
+        own = logger_of(self.target.name)
         is_own = line.logger == own or line.logger.startswith(f"{own}.")
-        return line.process == container and is_own
+        return line.process == self.target.container and is_own
 
 
 _LETTERS: Final = {10: "D", 20: "I", 30: "W", 40: "E", 50: "F"}
@@ -319,24 +293,24 @@ class RowLines:
     """The last line of output of each row; `last` holds them."""
 
     def __init__(self) -> None:
-        self._owners: dict[tuple[str, str], RowId] = {}
-        self.last: dict[RowId, str] = {}
+        self._owners: dict[tuple[str, str], Target] = {}
+        self.last: dict[Target, str] = {}
 
-    def declare(self, rows: Iterable[TopRow]) -> None:
+    def declare(self, rows: Iterable[UnitRow]) -> None:
         """Set the rows; lines of other ones are forgotten."""
-        subjects = {row.subject for row in rows}
+        targets = set(map(target_of, rows))
         self._owners = {
-            (row.container or "", logger_of(row.name)): row.subject
+            (row.container or "", logger_of(row.name)): target_of(row)
             for row in rows
             if row.kind == COMPONENT
         }
-        self.last = {subject: text for subject, text in self.last.items() if subject in subjects}
+        self.last = {target: text for target, text in self.last.items() if target in targets}
 
     def add(self, line: LogLine) -> None:
         """Add a line; it belongs to its process and to the node of its logger or one above."""
         if line.process == OWN_NAME:
             return
-        self.last[RowId(None, line.process)] = line.text
+        self.last[line.process] = line.text
         name = line.logger
         while name:
             owner = self._owners.get((line.process, name))

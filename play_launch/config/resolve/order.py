@@ -18,6 +18,7 @@ from play_launch.config.problems import excerpt
 from play_launch.config.section import items_of, validate_mapping
 from play_launch.config.sections import DependencySection
 from play_launch.config.source import path_from
+from play_launch.config.text import similar
 from play_launch.config.values import NEVER
 
 if TYPE_CHECKING:
@@ -162,13 +163,8 @@ class _Units:
         if found:
             at.problem(f"several nodes are {name}; name one of {', '.join(found)}")
         elif not self._is_declared(full_name):  # else its own problem is reported
-            import difflib  # noqa: PLC0415 - a good file needs no guesses
-
-            known = {each.rpartition("/")[2]: each for each in sorted(self.named)}
-            close = difflib.get_close_matches(full_name, self.named, 1) or [
-                known[each] for each in difflib.get_close_matches(name.rpartition("/")[2], known, 1)
-            ]
-            fix = f"did you mean {excerpt(close[0])}?" if close else "is it declared in this file?"
+            close = similar(full_name, sorted(self.named))
+            fix = f"did you mean {excerpt(close)}?" if close else "is it declared in this file?"
             at.problem(f"nothing is called {excerpt(name)}; {fix}")
         return None
 

@@ -7,8 +7,11 @@ from the crash to its event. This needs neither, nor ROS. Tests hold both equal.
 
 from __future__ import annotations
 
+from functools import cache, cached_property
 from struct import Struct, error, pack_into, unpack_from
 from typing import TYPE_CHECKING, Any, Final
+
+from play_launch.config.substitutions import share_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping
@@ -41,6 +44,42 @@ class CdrError(ValueError):
     """The bytes are not a message of this layout."""
 
 
+_CODES: Final = {
+    "bool": "?",
+    "uint8": "B",
+    "uint16": "H",
+    "uint32": "I",
+    "uint64": "Q",
+    "int32": "i",
+    "int64": "q",
+    "float64": "d",
+    "string": "s",
+    "builtin_interfaces/Time": "t",
+}
+"""Types of definitions; a message has its own name without the package."""
+
+
+@cache
+def definitions() -> dict[str, dict[str, str]]:
+    """Read the fields of all messages of play_launch_msgs, as they are installed.
+
+    All at once: while a session runs, another version may be installed.
+    """
+    share = share_folder("play_launch_msgs")
+    if share is None:
+        raise FileNotFoundError("play_launch_msgs is not installed; install play-launch-py again")
+    found: dict[str, dict[str, str]] = {}
+    for path in (share / "msg").glob("*.msg"):
+        fields = found[path.stem] = {}
+        for line in path.read_text(encoding="utf-8").splitlines():
+            kind, _, field = line.partition("#")[0].strip().partition(" ")
+            if field and "=" not in field:
+                element = kind.removesuffix("[]")
+                code = _CODES.get(element) or element.rpartition("/")[2]
+                fields[field] = f"{code}[]" if kind != element else code
+    return found
+
+
 class Layout:
     """The fields of one message type, in their order.
 
@@ -55,14 +94,34 @@ class Layout:
     """
 
     def __init__(self, fields: str, **others: Layout) -> None:
-        """Make it of ``name:type`` words and the layouts that they name."""
-        self.types = dict(word.split(":") for word in fields.split())
-        self._writers = [
-            (name, _writer(kind, others), _nothing(kind, others))
+        """Make it of ``name:type`` words and the layouts that they name.
+
+        ``fields`` can also be the name of a message of play_launch_msgs.
+        """
+        self._fields = fields
+        self._others = others
+
+    @cached_property
+    def types(self) -> dict[str, str]:
+        """The type of each field."""
+        if ":" in self._fields:
+            return dict(word.split(":") for word in self._fields.split())
+        return definitions()[self._fields]
+
+    @cached_property
+    def _writers(self) -> list[tuple[str, Writer, Any]]:
+        return [
+            (name, _writer(kind, self._others), _nothing(kind, self._others))
             for name, kind in self.types.items()
         ]
-        self._readers = [(name, _reader(kind, others)) for name, kind in self.types.items()]
-        self._plain = _Plain(self.types) if _Plain.can_hold(self.types) else None
+
+    @cached_property
+    def _readers(self) -> list[tuple[str, Reader]]:
+        return [(name, _reader(kind, self._others)) for name, kind in self.types.items()]
+
+    @cached_property
+    def _plain(self) -> _Plain | None:
+        return _Plain(self.types) if _Plain.can_hold(self.types) else None
 
     def write(self, values: Mapping[str, Any]) -> bytes:
         r"""Serialise a message; what is not given is zero or empty.

@@ -1,6 +1,6 @@
 """The messages of `play_launch_msgs`, and those of `rcl_interfaces` that they or we need.
 
-What their fields mean is said in the interface definitions; a test compares the two.
+The fields of the former, and what they mean, are in the interface definitions.
 """
 
 from __future__ import annotations
@@ -10,71 +10,35 @@ from typing import Any, Final, NamedTuple
 
 from play_launch.container.cdr.layout import CdrError, Layout, split_time, text_bytes
 
-COMPONENT_EVENT: Final = Layout(
-    "stamp:t event_type:B unique_id:Q attempt:Q full_node_name:s package_name:s plugin_name:s "
-    "error_message:s pid:i start_time:Q exit_code:i signal:i backtrace:s[] confirmed_by:s "
-    "modules:s[]"
-)
-STATE_EVENT: Final = Layout(
-    "stamp:t kind:B key:s name:s container:s state:s reason:s mechanism:s start_time:Q unique_id:Q "
-    "attempt:Q elapsed_ns:q cpu_time_ns:q pid:i exit_code:i signal:i crashes:I restarts:I "
-    "command:s[] cause:B sequel:B delay_ns:q culprit:s"
-)
-GRAPH_EVENT: Final = Layout("stamp:t appeared:s[] vanished:s[] nodes:I")
-ACTION_EVENT: Final = Layout(
-    "stamp:t number:Q action:s phase:B targets:s[] uid:I pid:i command:s reason:s"
-)
-PROCESS_STATS: Final = Layout(
-    "stamp:t pid:i start_time:Q cpu_percent:d cpu_seconds:d memory_bytes:Q memory_kind:B threads:I "
-    "descriptors:I read_bytes:Q write_bytes:Q voluntary_switches:Q involuntary_switches:Q"
-)
-GROUP_STATS: Final = Layout(
-    "stamp:t group:Q cpu_seconds:d throttled_periods:Q throttled_seconds:d cpu_pressure:d "
-    "memory_pressure:d io_pressure:d memory_bytes:Q processes:Q oom_kills:Q pids_max_hits:Q"
-)
-SYSTEM_STATS: Final = Layout(
-    "stamp:t cpu_percent:d core_percent:d[] core_mhz:d[] memory_total:Q memory_available:Q "
-    "swap_used:Q shm_used:Q shm_total:Q disk_free:Q load_1:d load_5:d load_15:d cpu_some_avg10:d "
-    "memory_some_avg10:d memory_full_avg10:d io_some_avg10:d io_full_avg10:d steal_percent:d"
-)
-CONTROL_HELLO: Final = Layout(
-    "protocol_version:H version:s pid:i start_time:Q full_node_name:s mode:s thread_num:I "
-    "backends:s[] rmw_implementation:s domain_id:I mechanism:s notes:s[]"
-)
+COMPONENT_EVENT: Final = Layout("ComponentEvent")
+STATE_EVENT: Final = Layout("StateEvent")
+GRAPH_ENDPOINT: Final = Layout("GraphEndpoint")
+GRAPH_EVENT: Final = Layout("GraphEvent", GraphEndpoint=GRAPH_ENDPOINT)
+ACTION_EVENT: Final = Layout("ActionEvent")
+PROCESS_STATS: Final = Layout("ProcessStats")
+GROUP_STATS: Final = Layout("GroupStats")
+SYSTEM_STATS: Final = Layout("SystemStats")
+CONTROL_HELLO: Final = Layout("ControlHello")
 PARAMETER_VALUE: Final = Layout(
     "type:B bool_value:? integer_value:q double_value:d string_value:s byte_array_value:y "
     "bool_array_value:?[] integer_array_value:q[] double_array_value:d[] string_array_value:s[]"
 )
 PARAMETER: Final = Layout("name:s value:ParameterValue", ParameterValue=PARAMETER_VALUE)
-NODE_PARAMETERS: Final = Layout(
-    "stamp:t node:s parameters:Parameter[] error:s", Parameter=PARAMETER
-)
+NODE_PARAMETERS: Final = Layout("NodeParameters", Parameter=PARAMETER)
 PARAMETER_EVENT: Final = Layout(
     "stamp:t node:s new_parameters:Parameter[] changed_parameters:Parameter[] "
     "deleted_parameters:Parameter[]",
     Parameter=PARAMETER,
 )
-CONTROL_LOAD: Final = Layout(
-    "attempt:Q package_name:s plugin_name:s node_name:s node_namespace:s log_level:B "
-    "remap_rules:s[] parameters:Parameter[] extra_arguments:Parameter[] resources:s[] "
-    "lock_memory:?",
-    Parameter=PARAMETER,
-)
-CONTROL_ACCEPTED: Final = Layout("attempt:Q unique_id:Q")
-CONTROL_REJECTED: Final = Layout("attempt:Q unique_id:Q reason:s")
-CONTROL_QUERY: Final = Layout("query_id:Q unique_ids:Q[]")
-NODE_STATUS: Final = Layout(
-    "unique_id:Q attempt:Q state:B full_node_name:s pid:i start_time:Q elapsed_ns:q cpu_time_ns:q "
-    "silence_ns:q note:s"
-)
-CONTROL_STATUS: Final = Layout(
-    "query_id:Q nodes:NodeStatus[] dropped_frames:Q crashes:I undertaken:I leaked:I unquiesced:I "
-    "dead_locks:s[]",
-    NodeStatus=NODE_STATUS,
-)
-CONTROL_CANCEL: Final = Layout("unique_id:Q")
-CONTROL_UNLOAD: Final = Layout("unique_id:Q")
-CONTROL_SHUTDOWN: Final = Layout("reason:s")
+CONTROL_LOAD: Final = Layout("ControlLoad", Parameter=PARAMETER)
+CONTROL_ACCEPTED: Final = Layout("ControlAccepted")
+CONTROL_REJECTED: Final = Layout("ControlRejected")
+CONTROL_QUERY: Final = Layout("ControlQuery")
+NODE_STATUS: Final = Layout("NodeStatus")
+CONTROL_STATUS: Final = Layout("ControlStatus", NodeStatus=NODE_STATUS)
+CONTROL_CANCEL: Final = Layout("ControlCancel")
+CONTROL_UNLOAD: Final = Layout("ControlUnload")
+CONTROL_SHUTDOWN: Final = Layout("ControlShutdown")
 LOG: Final = Layout("stamp:t level:B name:s msg:s file:s function:s line:I")
 """Written by `log_message`, where there may be many."""
 
@@ -157,8 +121,9 @@ def read_log(data: bytes) -> LogFields:
         raise CdrError(str(reason)) from reason
     if head[:2] != _ENCAPSULATION[:2]:
         raise CdrError("it does not begin as little-endian CDR")
-    texts = (text.decode("utf-8", "replace") for text in (name, message))
-    return LogFields(seconds * 1_000_000_000 + nanoseconds, level, *texts)
+    stamp_ns = seconds * 1_000_000_000 + nanoseconds
+    text = message.decode("utf-8", "replace")
+    return LogFields(stamp_ns, level, name.decode("utf-8", "replace"), text)
 
 
 def read_machine(data: bytes) -> dict[str, Any] | None:

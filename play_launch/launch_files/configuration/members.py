@@ -204,7 +204,7 @@ class Members:
             entry["autostart"] = str(unit.autostart)
         elif unit.is_lifecycle:
             self._losses.note(
-                unit.described, "is a lifecycle node; nobody but your own nodes activates it"
+                unit.described, "is a lifecycle node; only your own nodes activate it"
             )
 
     def _without_names(self, unit: LaunchedProcess, words: Iterable[str]) -> list[str]:

@@ -181,7 +181,7 @@ class _Builder:
         if alike:
             return alike[0], self._containers[alike[0]]
         full_name = target if target.startswith("/") else f"/{target}"
-        note = f"nobody starts its container {full_name}; it is attached to"
+        note = f"nothing here starts its container {full_name}; it is attached to"
         self._losses.note(unit.described, note)
         namespace, _, name = full_name.rpartition("/")
         entry: dict[str, Any] = {"name": name, **({"namespace": namespace} if namespace else {})}

@@ -50,7 +50,7 @@ def read_launch_dump(values: Mapping[str, Any], losses: Losses) -> Description:
             system.units.append(read_unit(unit, LISTS[name], file, filled))
             unit.refuse_rest()
     for name in fields.get("lifecycle_node", list[str]) or ():
-        losses.note(name, "is a lifecycle node; nobody but your own nodes activates it")
+        losses.note(name, "is a lifecycle node; only your own nodes activate it")
     # What was read from these files stands in the sources of the nodes.
     fields.take("file_data")
     for name in _GRAPH:

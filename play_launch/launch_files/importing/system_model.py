@@ -1,7 +1,7 @@
 """Reads `system_model.yaml`, what the program play_launch (Rust) has resolved a launch file to.
 
 Its fields are those of `NodeInstance` and its neighbours in the crate `model` of the repository
-ros-launch-manifest; `docs/design/system-model.md` of play_launch says what they are for.
+ros-launch-manifest; `docs/design/system-model.md` of play_launch describes them.
 """
 
 from __future__ import annotations

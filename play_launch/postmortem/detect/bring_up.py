@@ -5,7 +5,7 @@ from __future__ import annotations
 from statistics import median
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.durations import duration
+from play_launch.config.text import duration
 from play_launch.postmortem.findings import DeclaredPlace, Finding
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind, SubjectKind
 
@@ -43,7 +43,7 @@ def _missing(timeline: Timeline) -> Iterator[Finding]:
                 kind="not_started",
                 rank=0,
                 says="was not started: it was given up {when}",
-                who=unit.name,
+                name=unit.name,
                 key=unit.key,
                 times_ns=(unit.changes[-1][0],),
                 cause=unit.reason,
@@ -55,7 +55,7 @@ def _missing(timeline: Timeline) -> Iterator[Finding]:
             kind="not_loaded",
             rank=2,
             says=f"was {what}: it was {state} since {{at}}",
-            who=unit.name,
+            name=unit.name,
             key=unit.key,
             times_ns=(unit.since_ns,),
             cause=unit.reason,
@@ -85,7 +85,7 @@ def _late(timeline: Timeline) -> Iterator[Finding]:
         rank=6,
         is_failure=False,
         says=f"was loaded last, {duration(later)} after all other nodes, {{at}}",
-        who=last.name,
+        name=last.name,
         key=last.key,
         times_ns=(last.ready_ns,),
         cause=", ".join(_chain(last, container, started)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from play_launch.config.durations import duration
+from play_launch.config.text import duration
 from play_launch.postmortem.findings import DeclaredPlace, Finding
 from play_launch.postmortem.frames import blamed
 from play_launch.postmortem.known_causes import known_cause
@@ -71,7 +71,7 @@ def _failed(timeline: Timeline) -> Iterator[Finding]:
             kind=each.fault.value,
             rank=rank,
             says=says,
-            who=each.who,
+            name=each.name,
             key=each.key,
             times_ns=tuple(each.times),
             cause=each.cause + took,
@@ -136,7 +136,7 @@ def _looping(timeline: Timeline) -> Iterator[Finding]:
             kind="restart_loop",
             rank=2,
             says="was restarted in a loop, from {at} on",
-            who=unit.name,
+            name=unit.name,
             key=key,
             times_ns=(first,),
             cause=f"it failed {count} times within {duration(lasted)}",

@@ -50,7 +50,7 @@ class Subjects(NamedTuple):
 
 def chosen(timeline: Timeline) -> Subjects:
     """Choose of a session that was read to its end."""
-    used = timeline.samples.used()
+    used = {key: total.latest for key, total in timeline.samples.totals().items()}
     units = [unit for unit in timeline.units if unit.key in used]
     units.sort(key=lambda unit: (unit.failure is None, -used[unit.key].cpu_seconds, unit.key))
     containers = [one for one in units if one.kind is SubjectKind.CONTAINER][:MOST]

@@ -15,6 +15,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 from msgspec import Struct
 
 from play_launch.config.node_key import NodeKey
+from play_launch.postmortem.records import Runs
 from play_launch.recording.console_format import ERROR, WARN, line_level
 from play_launch.supervisor.events import (
     ContainerState,
@@ -33,9 +34,9 @@ from play_launch.supervisor.events import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Mapping
 
-    from play_launch.postmortem.bag_reader import Message
+    from play_launch.postmortem.bag_reader import Message, RecordedTopic, Take
     from play_launch.postmortem.timeline import Timeline
     from play_launch.postmortem.units import FailureEvent
     from play_launch.supervisor.events import RunEvent
@@ -65,38 +66,46 @@ class Track(Struct, frozen=True):
 
 
 class TraceMaker:
-    """Makes the events of the trace while the timeline takes those of the session."""
+    """Writes the events of the trace while the timeline takes those of the session."""
 
-    def __init__(self, timeline: Timeline) -> None:
-        """Times count from the start of the session, which the timeline knows by now."""
-        self._timeline = timeline
-        self._started_ns = timeline.session.started_ns
+    def __init__(self, timeline: Timeline, file: IO[str]) -> None:
+        self._timeline, self._file = timeline, file
+        self._separator = "\n"
+        self._started_ns: int | None = None
+        """From when on times count: the first message comes after what says so."""
         self._marked = 0
         self._processes: dict[str, int] = {}
         self._tracks: dict[tuple[str, str], Track] = {}
         self._open: dict[Track, TraceEvent] = {}
         """Slices without their durations."""
         self._counters: dict[tuple[int, str], Mapping[str, float]] = {}
-        self._made: list[TraceEvent] = []
 
-    def add(self, message: Message, event: RunEvent | None) -> list[TraceEvent]:
-        """Give the events of the trace that a message leads to; the timeline took it before."""
-        event = event or self._timeline.session.event(message)
-        if event is not None:
-            self._add(self._time(message.log_time), event)
-        failures = self._timeline.events[self._marked :]
-        self._marked += len(failures)
-        for failure in failures:
-            self._failed(failure)
-        made, self._made = self._made, []
-        return made
+    def take_of(self, topic: RecordedTopic) -> Take:
+        """Give what takes the messages of a topic: the timeline, then the trace."""
+        fold = self._timeline.take_of(topic)
 
-    def end(self, end_ns: int) -> list[TraceEvent]:
-        """Give the slices that are still open."""
+        def take(message: Message) -> None:
+            # Samples of processes lead to no failure.
+            event = None if fold is None or isinstance(fold, Runs) else fold(message)
+            event = event or self._timeline.session.event(message)
+            if event is not None:
+                self._add(self._time(message.log_time), event)
+            failures = self._timeline.events[self._marked :]
+            self._marked += len(failures)
+            for failure in failures:
+                self._failed(failure)
+
+        return take
+
+    def end(self, end_ns: int) -> None:
+        """Write the slices that are still open."""
         for track in list(self._open):
             self._close(track, self._time(end_ns))
-        made, self._made = self._made, []
-        return made
+
+    def _write(self, event: TraceEvent) -> None:
+        self._file.write(self._separator)
+        self._file.write(json.dumps(event, separators=(",", ":"), allow_nan=False))
+        self._separator = ",\n"
 
     def _add(self, at: float, event: RunEvent) -> None:
         match event:
@@ -156,10 +165,10 @@ class TraceMaker:
     def _close(self, track: Track, at: float) -> None:
         ended = self._open.pop(track, None)
         if ended is not None:
-            self._made.append(ended | {"dur": round(max(0.0, at - ended["ts"]), 3)})
+            self._write(ended | {"dur": round(max(0.0, at - ended["ts"]), 3)})
 
     def _mark(self, track: Track, at: float, name: str, args: TraceEvent) -> None:
-        self._made.append(
+        self._write(
             {
                 "ph": "i",
                 "s": "t",
@@ -214,9 +223,7 @@ class TraceMaker:
         if not rounded or self._counters.get((process, name)) == rounded:
             return
         self._counters[process, name] = rounded
-        self._made.append(
-            {"ph": "C", "name": name, "pid": process, "tid": 0, "ts": at, "args": rounded}
-        )
+        self._write({"ph": "C", "name": name, "pid": process, "tid": 0, "ts": at, "args": rounded})
 
     def _process(self, name: str) -> int:
         number = self._processes.get(name)
@@ -237,41 +244,26 @@ class TraceMaker:
     def _name(self, what: str, track: Track, name: str) -> None:
         where = {"ph": "M", "pid": track.process, "tid": track.thread}
         number = track.process if what == "process" else track.thread
-        self._made += (
-            {**where, "name": f"{what}_name", "args": {"name": name}},
-            {**where, "name": f"{what}_sort_index", "args": {"sort_index": number}},
-        )
+        self._write({**where, "name": f"{what}_name", "args": {"name": name}})
+        self._write({**where, "name": f"{what}_sort_index", "args": {"sort_index": number}})
 
     def _time(self, stamp_ns: int) -> float:
+        if self._started_ns is None:
+            self._started_ns = self._timeline.session.started_ns
         return max(0, stamp_ns - self._started_ns) / 1000
 
 
-def trace_events(timeline: Timeline) -> Iterator[TraceEvent]:
-    """Give the trace of a session while it is read.
+def write_trace(timeline: Timeline, file: IO[str]) -> None:
+    """Read a session, and write its trace, one event a line.
 
     Raises:
-        NotARecordingError: At once, for another kind of file.
-    """
-    maker: TraceMaker | None = None
-    for message, event in timeline.messages():
-        maker = maker or TraceMaker(timeline)
-        yield from maker.add(message, event)
-    if maker is not None:
-        yield from maker.end(timeline.session.reader.end)
-
-
-def write_trace(events: Iterable[TraceEvent], about: Mapping[str, str], file: IO[str]) -> None:
-    """Write a trace, one event a line; `about` says whose it is, as far as that is known by then.
-
-    Raises:
+        NotARecordingError: For another kind of file.
         OSError: When the file takes no more.
     """
     file.write('{"displayTimeUnit":"ms","traceEvents":[')
-    separator = "\n"
-    for event in events:
-        file.write(separator)
-        file.write(json.dumps(event, separators=(",", ":"), allow_nan=False))
-        separator = ",\n"
-    # Last: it is read before the first event, but not before this is called.
+    maker = TraceMaker(timeline, file)
+    timeline.read(maker.take_of)
+    maker.end(timeline.session.reader.end)
+    about = timeline.session.about
     described = {name: about[name] for name in ("name", "id", "started_ns") if name in about}
     file.write(f'\n],"otherData":{json.dumps(described)}}}\n')

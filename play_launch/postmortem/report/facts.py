@@ -64,7 +64,7 @@ class Point(Struct, frozen=True):
     """The first ones are shown at once."""
     at: float | None = None
     """Milliseconds since the start; None: no moment."""
-    who: str = ""
+    name: str = ""
     """Name of the node, container or process; empty: the machine."""
     is_failure: bool = True
 
@@ -182,7 +182,10 @@ def contents(
 
 def _shown(point: Point) -> Point:
     return replace(
-        point, title=shown(point.title), lines=tuple(map(shown, point.lines)), who=shown(point.who)
+        point,
+        title=shown(point.title),
+        lines=tuple(map(shown, point.lines)),
+        name=shown(point.name),
     )
 
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 import struct
 from array import array
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final
+from functools import cache
+from itertools import accumulate
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import SYSTEM_STATS, read_log
-from play_launch.postmortem.events import UnreadableEventError
-from play_launch.postmortem.records import Runs
+from play_launch.postmortem.records import LATEST, MESSAGE, RECORD, EqualReader, Runs, Taken
 from play_launch.postmortem.report.lines import Lines
 from play_launch.postmortem.report.page import shown
 from play_launch.postmortem.report.usage import Rates, Usage
@@ -29,14 +30,18 @@ from play_launch.supervisor.events import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Mapping, Sequence
 
-    from play_launch.postmortem.bag_reader import Message, RecordedTopic, Take
+    from play_launch.postmortem.bag_reader import ChannelInfo, Message, RecordedTopic, Take
+    from play_launch.postmortem.records import ChannelSequence
     from play_launch.postmortem.timeline import Timeline
     from play_launch.postmortem.units import FailureEvent, State
+    from play_launch.supervisor.events import RunEvent
 
 _USED: Final = struct.Struct("<15xQ8x28xd8xQB")
 """The record of a ProcessStats: log time, percent of a core, bytes, and what they count."""
+_MANY: Final = 500
+"""Samples of a unit that are drawn at once."""
 _STATS: Final = "/play_launch/…/stats"
 """Stands for the topics that hold what one unit used each."""
 _ARRIVALS: Final = 15
@@ -136,7 +141,7 @@ class Lanes(Struct):
     ends: array[float]
 
 
-class Gathered(Runs):
+class Gathered:
     """Reads a recording, and draws its timeline when that is whole."""
 
     def __init__(self, timeline: Timeline) -> None:
@@ -145,6 +150,10 @@ class Gathered(Runs):
         self.end = 0.0
         self.started_ns = 0
         self._marked = 0
+        self._samples = EqualReader()
+        self._sequence: ChannelSequence | None = None
+        self._used: list[tuple[Any, ...]] = []
+        """Samples of that sequence that are not drawn yet."""
         self._rows: dict[RecordedTopic, int] = {}
         """Of the topics that have samples."""
 
@@ -155,63 +164,93 @@ class Gathered(Runs):
             NotARecordingError: At once, for another kind of file.
         """
         self.timeline.read(self._take_of)
+        self._draw_samples()
         self.lines.prune()
         self.usage.finish()
 
     def _take_of(self, topic: RecordedTopic) -> Take | Runs:
         """Give what takes the messages of a topic: first the timeline does, then the page."""
-        fold = self.timeline.runs_of(topic)
-        if isinstance(fold, Runs):
+        fold = self.timeline.take_of(topic)
+        if topic.type_name == topics.PROCESS_STATS:
             unit = self.timeline.of_topic(topic)
             self._rows[topic] = NO_UNIT if unit is None else unit.number
-            return self
-        draw: Callable[[Message, float, object], None] = self._draw_event
+            return Runs(self._take_samples)
         if topic.name == topics.OUTPUT.name:
-            draw = self._draw_line
-        elif topic.name == topics.SYSTEM.name:
-            draw = self._draw_machine
+            return Runs(self._take_lines)
+        assert not isinstance(fold, Runs)
 
         def take(message: Message) -> None:
             event = fold(message) if fold is not None else None
             at = self._at_now(message.log_time)
             self.rates.add(topic.name, at)
-            try:
-                draw(message, at, event)
-            except (CdrError, UnreadableEventError) as error:
-                self.timeline.session.note_damage(message, error)
+            if topic.name == topics.SYSTEM.name:
+                self._draw_machine(message.data, at)
+            else:
+                self._draw_event(event, at)
 
         return take
 
-    def take_run(self, records: bytes, stride: int, topics: list[RecordedTopic]) -> None:
-        """Take samples of processes."""
-        self.timeline.samples.take_run(records, stride, topics)
-        if stride < _USED.size:
+    def _take_samples(self, data: bytes, begin: int, channels: Mapping[int, ChannelInfo]) -> Taken:
+        found = self._samples.read(data, begin, channels)
+        self.timeline.samples.add(found)
+        sequence = found.sequence
+        if sequence.stride >= _USED.size:
+            self.rates.add(_STATS, self._at_now(found.latest), len(sequence.channels))
+            # Many at once: most messages of a long session are samples.
+            if sequence is not self._sequence or len(self._used) >= _MANY:
+                self._draw_samples()
+                self._sequence = sequence
+            self._used.append(
+                _used_by(len(sequence.channels), sequence.stride).unpack(found.records)
+            )
+        return Taken(begin + len(found.records), found.latest)
+
+    def _draw_samples(self) -> None:
+        if self._sequence is None:
             return
-        latest = self.timeline.session.reader.end
-        self.rates.add(_STATS, self._at_now(latest), len(topics))
-        used = struct.Struct(f"{_USED.format}{stride - _USED.size}x")
-        process, rows = self.usage.process, self._rows
-        for topic, (log_time, cpu, memory, kind) in zip(
-            topics, used.iter_unpack(records), strict=True
-        ):
-            # Most messages of a long session, so without further calls.
-            at = max(0.0, (min(log_time, latest) - self.started_ns) / 1e6)
-            process(rows[topic], at, cpu, memory, kind)
+        sequence, begin = self._sequence, self.started_ns
+        # One by one where a unit occurs twice.
+        is_each_once = len(set(map(id, sequence.channels))) == len(sequence.channels)
+        times: tuple[int, ...] = ()
+        ats: Sequence[float] = ()
+        for used in (self._used,) if is_each_once else ([each] for each in self._used):
+            columns = zip(*used, strict=True)
+            for channel in sequence.channels:
+                now, cpu, memory, kind = (next(columns) for _ in range(4))
+                if now != times:
+                    times = now
+                    ats = [max(0.0, (min(at, LATEST) - begin) / 1e6) for at in accumulate(now, max)]
+                self.usage.process(self._rows[channel.topic], kind[-1], ats, cpu, memory)
+        self._used.clear()
+
+    def _take_lines(self, data: bytes, begin: int, channels: Mapping[int, ChannelInfo]) -> Taken:
+        taken = self.timeline.lines.take(data, begin, channels)
+        latest, count = self._at_now(taken.latest), 0
+        while begin < taken.end:
+            _, length, _, _, log_time, _ = MESSAGE.unpack_from(data, begin)
+            text_at, begin = begin + MESSAGE.size, begin + RECORD.size + length
+            count += 1
+            try:
+                self.lines.output(min(self.at(log_time), latest), read_log(data[text_at:begin]))
+            except CdrError as error:
+                self.timeline.session.reader.damaged(str(error))
+        self.rates.add(topics.OUTPUT.name, latest, count)
+        return taken
 
     def _at_now(self, log_time: int) -> float:
         # What stands at the head of the file is known by now.
         self.started_ns = self.started_ns or self.timeline.session.started_ns
-        at = self.at(min(log_time, self.timeline.session.reader.end))
+        at = self.at(log_time)
         self.end = max(self.end, at)
         return at
 
-    def _draw_line(self, message: Message, at: float, _: object) -> None:
-        self.lines.output(at, read_log(message.data))
+    def _draw_machine(self, data: bytes, at: float) -> None:
+        try:
+            self.usage.machine(at, SYSTEM_STATS.read(data))
+        except CdrError as error:
+            self.timeline.session.reader.damaged(str(error))
 
-    def _draw_machine(self, message: Message, at: float, _: object) -> None:
-        self.usage.machine(at, SYSTEM_STATS.read(message.data))
-
-    def _draw_event(self, _: Message, at: float, event: object) -> None:
+    def _draw_event(self, event: RunEvent | None, at: float) -> None:
         if isinstance(event, LogRecord) and event.level >= INFO and event.name != REPORTED_LOGGER:
             self.lines.add(at, NO_UNIT, event.level, event.message)
         for failure in self.timeline.events[self._marked :]:
@@ -289,6 +328,13 @@ class Gathered(Runs):
         state = unit.arrival
         result = "" if state is None else _RESULTS.get(state, state.value)
         return Arrival(unit.number, began, ready, requested, constructing, end, result)
+
+
+@cache
+def _used_by(count: int, stride: int) -> struct.Struct:
+    """Unpack the records of so many samples."""
+    rest = stride - _USED.size
+    return struct.Struct("<" + f"{_USED.format.removeprefix('<')}{rest}x" * count)
 
 
 def _shown(state: State) -> Shown:

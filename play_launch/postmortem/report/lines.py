@@ -52,18 +52,22 @@ class Lines(Struct):
 
     def output(self, at: float, line: LogFields) -> None:
         """Take a line of output; its head is left out where the columns say the same."""
-        text, row = line.message, self.timeline.of_name(line.name).number
+        text, own = line.message, None
         head = _HEAD.match(text)
         if head:
-            self._name_loggers()
-            rest, logger = text[head.end() :], head[1]
-            is_own = (line.name, logger) in self._loggers
-            text = rest if is_own else f"[{logger}]: {rest}"
-            # A logger's name is that of its node with dots, perhaps with more behind it.
-            while logger and (line.name, logger) not in self._loggers:
-                logger = logger.rpartition(".")[0]
-            row = self._loggers.get((line.name, logger), row)
-        self.add(at, row, line.level, text)
+            if self._named < len(self.timeline.units):
+                self._name_loggers()
+            logger, text = head[1], text[head.end() :]
+            own = self._loggers.get((line.name, logger))
+            if own is None:
+                text = f"[{logger}]: {text}"
+                # A logger's name is that of its node with dots, perhaps with more behind it.
+                while own is None and logger:
+                    logger = logger.rpartition(".")[0]
+                    own = self._loggers.get((line.name, logger))
+        if own is None:
+            own = self.timeline.of_name(line.name).number
+        self.add(at, own, line.level, text)
 
     def _name_loggers(self) -> None:
         units = self.timeline.units
@@ -81,10 +85,10 @@ class Lines(Struct):
         """Take a text of one or more lines."""
         if self.times:
             at = max(at, self.times[-1])
-        for line in shown(text).split("\n"):
+        for line in (text,) if text.isprintable() else shown(text).split("\n"):
             self.times.append(at)
             self.rows.append(row)
-            self.levels.append(min(max(level, 0), 255))
+            self.levels.append(level)
             self.texts.append(line)
             self._text += len(line)
         if len(self.texts) > 1.5 * self.most or self._text > 1.5 * self.most_text:

@@ -11,6 +11,7 @@ import base64
 import sys
 import zlib
 from array import array
+from itertools import chain
 from math import isfinite, isnan, nan
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -19,7 +20,7 @@ from msgspec import Struct, field
 from play_launch.supervisor.events import MemoryKind
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 MOST: Final = 16_384
 """Samples of one thing, a multiple of four; of more, lowest and highest of each few are kept."""
@@ -64,6 +65,17 @@ class Series(Struct):
                 self._append_extremes()
         if len(self.times) >= MOST:
             self._thin_out()
+
+    def extend(self, times: Sequence[float], columns: Sequence[Sequence[float]]) -> None:
+        """Take many samples; their times do not fall."""
+        if self._width > 1 or len(self.times) + len(times) >= MOST or times[0] < self._last:
+            for at, *sample in zip(times, *columns, strict=True):
+                self.add(at, tuple(sample))
+            return
+        self._last = times[-1]
+        self.times.extend(times)
+        for column, values in zip(self.columns, columns, strict=True):
+            column.extend(values)
 
     def finish(self) -> None:
         """Take what is waiting for more, as it is."""
@@ -114,14 +126,16 @@ class Usage(Struct):
         for series in (*self.of_rows.values(), self.system):
             series.finish()
 
-    def process(self, row: int, at: float, cpu: float, memory: int, kind: int) -> None:
-        """Take a sample of a process: percent of a core, bytes, and what they count."""
+    def process(
+        self, row: int, kind: int, times: Sequence[float], *columns: Sequence[float]
+    ) -> None:
+        """Take samples of a process: percent of a core, bytes; ``kind`` says what these count."""
         series = self.of_rows.get(row)
         if series is None:
             series = self.of_rows[row] = _series(PROCESS_COLUMNS)
             series.row = row
         series.is_shared = kind == MemoryKind.SHARED
-        series.add(at, (cpu, memory))
+        series.extend(times, columns)
 
     def machine(self, at: float, sample: Mapping[str, Any]) -> None:
         """Take the fields of a sample of the machine."""
@@ -190,13 +204,9 @@ def quantised(values: Sequence[float]) -> Quantised:
 
 def value_planes(columns: Iterable[array[int]]) -> bytes:
     """Give 16-bit columns one behind the other: differences, then low bytes before high bytes."""
-    differences = array("H")
-    before = 0
-    for column in columns:
-        for step in column:
-            differences.append((step - before) & 0xFFFF)
-            before = step
-    return _planes(differences)
+    steps = array("H", chain.from_iterable(columns))
+    before = chain((0,), steps)
+    return _planes(array("H", [(b - a) & 0xFFFF for a, b in zip(before, steps, strict=False)]))
 
 
 def time_planes(columns: Iterable[Sequence[float]]) -> bytes:
@@ -206,15 +216,28 @@ def time_planes(columns: Iterable[Sequence[float]]) -> bytes:
     bits and zigzag: 0, -1, 1, -2, ... Each column begins anew. Times beyond 24 days stay there.
     """
     changes = array("I")
+    # Many units have the same times.
+    known: dict[bytes, array[int]] = {}
     for column in columns:
-        before = distance = 0
-        for at in column:
-            now = min(max(round(at), 0), _LATEST)
-            # Modulo 2**32, and from -2**31 on; the times themselves fit, so nothing is lost.
-            change = ((now - before - distance + _HALF) & 0xFFFF_FFFF) - _HALF
-            distance, before = now - before, now
-            changes.append(change << 1 if change >= 0 else ~(change << 1))
+        times = array("I", [min(max(round(at), 0), _LATEST) for at in column])
+        found = known.get(times.tobytes())
+        if found is None:
+            found = known[times.tobytes()] = array("I", map(_zigzag, _second_differences(times)))
+        changes += found
     return _planes(changes)
+
+
+def _second_differences(times: Sequence[int]) -> Iterator[int]:
+    before = distance = 0
+    for now in times:
+        yield now - before - distance
+        distance, before = now - before, now
+
+
+def _zigzag(change: int) -> int:
+    # Modulo 2**32, and from -2**31 on; the times themselves fit, so nothing is lost.
+    change = ((change + _HALF) & 0xFFFF_FFFF) - _HALF
+    return change << 1 if change >= 0 else ~(change << 1)
 
 
 def _planes(numbers: array[int]) -> bytes:

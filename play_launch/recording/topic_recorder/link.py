@@ -108,19 +108,9 @@ def answer(request: int, channel: int) -> bytes:
     return struct.pack("<IIH", Kind.ANSWER, request, channel)
 
 
-def done(slot: int) -> bytes:
-    """Give the file of a chunk back."""
-    return struct.pack("<II", Kind.DONE, slot)
-
-
-def take(number: int) -> bytes:
-    """Ask for what is held."""
-    return struct.pack("<II", Kind.TAKE, number)
-
-
-def stop() -> bytes:
-    """Ask for the end."""
-    return struct.pack("<I", Kind.STOP)
+def packet(kind: Kind, *numbers: int) -> bytes:
+    """Return DONE with the slot of a chunk, TAKE with a number of ours, or STOP."""
+    return struct.pack(f"<I{len(numbers)}I", kind, *numbers)
 
 
 def _decode(data: memoryview, descriptor: int) -> Packet:
@@ -234,10 +224,10 @@ class RecorderLink:
                 self.close()
                 return
             try:
-                packet = decode(data, *descriptors)
+                received = decode(data, *descriptors)
             except PacketError:
                 for descriptor in descriptors:
                     os.close(descriptor)
                 self.close()
                 raise
-            self._on_packet(packet)
+            self._on_packet(received)

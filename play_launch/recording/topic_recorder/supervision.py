@@ -23,8 +23,7 @@ from play_launch.container.ros import (
     topic_recorder,
 )
 from play_launch.process.child import INHERITED, spawn
-from play_launch.process.guard import SessionGuard
-from play_launch.process.program import SpawnError
+from play_launch.process.guard import SessionGuard, SpawnError
 from play_launch.recording.topic_recorder import SnapshotError, WrittenBuffer
 from play_launch.recording.topic_recorder import link as wire
 from play_launch.ros.fastdds.middleware import asks_for_fastdds
@@ -94,7 +93,7 @@ class TopicRecording:
         number = next(self._numbers)
         awaited: asyncio.Future[WrittenBuffer] = asyncio.get_running_loop().create_future()
         self._awaited[number] = awaited
-        self._link.send(wire.take(number))
+        self._link.send(wire.packet(wire.Kind.TAKE, number))
         try:
             async with asyncio.timeout(_LONGEST_SNAPSHOT):
                 snapshot = await awaited
@@ -120,6 +119,7 @@ class TopicRecording:
 
     async def _start(self) -> tuple[Child, wire.RecorderLink]:
         assert self._program is not None
+        assert self._guard is not None
         offset_ns = self._recorder.clock.offset_ns
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
@@ -182,7 +182,7 @@ class TopicRecording:
     async def _end(self) -> None:
         if self._child is None or self._link is None:
             return
-        self._link.send(wire.stop())
+        self._link.send(wire.packet(wire.Kind.STOP))
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_LONGEST_END):
                 await self._link.ended()
@@ -203,7 +203,9 @@ class TopicRecording:
                     lambda channel: link.send(wire.answer(packet.request, channel)),
                 )
             case wire.ChunkMade():
-                self._recorder.append_chunk(packet.chunk, lambda: link.send(wire.done(packet.slot)))
+                self._recorder.append_chunk(
+                    packet.chunk, lambda: link.send(wire.packet(wire.Kind.DONE, packet.slot))
+                )
             case wire.TopicDrops():
                 self._count(packet)
             case wire.Warned():

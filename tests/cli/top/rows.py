@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from play_launch.cli.top.model import TopRow
+from play_launch.control.messages import UnitRow
 from play_launch.supervisor.events import ContainerState, NodeState
 
 STATES = sorted(
@@ -21,9 +21,9 @@ NOTHING: dict[str, Any] = {
 }
 
 
-def row(name: str, state: str = "running", kind: Any = "container", **fields: Any) -> TopRow:
-    return TopRow(**{**NOTHING, "name": name, "kind": kind, "state": state, **fields})
+def row(name: str, state: str = "running", kind: Any = "container", **fields: Any) -> UnitRow:
+    return UnitRow(**{**NOTHING, "name": name, "kind": kind, "state": state, **fields})
 
 
-def node(name: str, container: str, state: str = "loaded", **fields: Any) -> TopRow:
+def node(name: str, container: str, state: str = "loaded", **fields: Any) -> UnitRow:
     return row(name, state, "component", container=container, **fields)

@@ -5,14 +5,15 @@ from typing import Any
 import pytest
 
 from play_launch.cli.top.model import (
-    OWN_NAME,
     LeastLevel,
     LogFilter,
     LogLine,
-    RowId,
     RowLines,
     line_of,
 )
+from play_launch.config.node_key import NodeKey
+from play_launch.control.event_words import OWN_NAME
+from play_launch.control.units import target_of
 from tests.cli.top.rows import node, row
 
 
@@ -46,11 +47,11 @@ def test_lines_are_read_from_events(received: dict[str, Any], expected: LogLine)
     ("wanted", "texts"),
     [
         (LogFilter(), ["c", "t", "sub", "other", "own", "elsewhere"]),
-        (LogFilter(subject=RowId(None, "/chat")), ["c", "t", "sub", "other"]),
-        (LogFilter(subject=RowId("/chat", "/ns/talker")), ["t", "sub"]),
-        (LogFilter(subject=RowId("/gone", "/ns/talker")), []),
+        (LogFilter(target="/chat"), ["c", "t", "sub", "other"]),
+        (LogFilter(target=NodeKey("/chat", "/ns/talker")), ["t", "sub"]),
+        (LogFilter(target=NodeKey("/gone", "/ns/talker")), []),
         (LogFilter(level=LeastLevel.WARN), ["sub", "own"]),
-        (LogFilter(level=LeastLevel.ERROR, subject=RowId(None, "/chat")), ["sub"]),
+        (LogFilter(level=LeastLevel.ERROR, target="/chat"), ["sub"]),
         (LogFilter(level=LeastLevel.FATAL), []),
     ],
 )
@@ -79,9 +80,9 @@ def test_every_row_has_its_last_line() -> None:
         line("own", process=OWN_NAME),
     ):
         last.add(each)
-    assert [last.last.get(each.subject, "") for each in rows] == [
+    assert [last.last.get(target_of(each), "") for each in rows] == [
         "of no node", "of a logger below", "of the outer", "",
     ]  # fmt: skip
     last.declare(rows[:1])
-    assert rows[1].subject not in last.last
-    assert RowId(None, "/else") not in last.last, "what is not declared is not kept"
+    assert target_of(rows[1]) not in last.last
+    assert "/else" not in last.last, "what is not declared is not kept"

@@ -266,11 +266,11 @@ def test_110_nodes_of_which_one_writes_all_the_time(tmp_path: Path) -> None:
             terminal.press("/node_10")
             said = psutil.Process(terminal.process.pid)
             began = said.cpu_times().user
-            until(lambda: said.cpu_times().user > began + 0.05, "work while nobody looks")
+            until(lambda: said.cpu_times().user > began + 0.05, "work without a viewer")
             terminal.is_reading.set()
             terminal.until_seen("names: node_10")
             until(lambda: terminal.line("/node_105") != "", "the chosen rows")
-            # One that never does again holds nobody up either.
+            # One that never does again holds nothing up either.
             terminal.is_reading.clear()
             until(lambda: terminal.unread() > 2000, "output that waits")
             terminal.process.send_signal(signal.SIGTERM)

@@ -2,14 +2,14 @@ from __future__ import annotations
 
 import pytest
 
-from play_launch.cli.top.model import OPERATIONS, Confirmation, RowId, confirmation, suits
-from play_launch.control.actions import FOR_MEMBERS, FOR_NODES
+from play_launch.cli.top.model import OPERATIONS, Confirmation, confirmation, suits
+from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS
 from tests.cli.top.rows import node, row
 
 
 def test_each_kind_of_row_has_the_operations_of_the_session() -> None:
-    assert {each for each in OPERATIONS if suits(each, row("/c"))} <= set(FOR_MEMBERS)
-    assert {each for each in OPERATIONS if suits(each, node("/a", "/c"))} <= set(FOR_NODES)
+    assert {each for each in OPERATIONS if suits(each, row("/c"))} <= set(MEMBER_ACTIONS)
+    assert {each for each in OPERATIONS if suits(each, node("/a", "/c"))} <= set(NODE_ACTIONS)
 
 
 @pytest.mark.parametrize(
@@ -31,5 +31,5 @@ def test_a_question_names_what_else_is_affected(
 
 def test_a_question_about_a_hostile_name_is_harmless() -> None:
     name = "/\x1b[2Ja\n猫"
-    expected = Confirmation("stop", RowId(None, name), "stop /a 猫?")
+    expected = Confirmation("stop", name, "stop /a 猫?")
     assert confirmation("stop", row(name), []) == expected

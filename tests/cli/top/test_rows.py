@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -7,28 +8,29 @@ from hypothesis import strategies as st
 from play_launch.cli.top.model import (
     Health,
     Order,
-    TopRow,
     counted,
     health,
     matching,
     memory,
     ordered,
-    rows_of,
     uptime,
 )
+from play_launch.control.messages import UnitRow
 from tests.cli.top.rows import NOTHING, node, row
 
 
 def test_rows_are_read_from_an_answer_whatever_else_is_in_it() -> None:
     known = {"name": "/a", "kind": "process", "state": "running", "cpu_percent": 3}
     answer = [{**NOTHING, **known, "new": [1]}]
-    assert rows_of(answer) == [row("/a", kind="process", cpu_percent=3.0)]
+    assert msgspec.convert(answer, list[UnitRow], strict=False) == [
+        row("/a", kind="process", cpu_percent=3.0)
+    ]
 
 
 @pytest.mark.parametrize("answer", [None, {}, [1], [{"name": "/a"}], [{"name": None}]])
 def test_what_is_no_list_of_rows_is_an_error(answer: object) -> None:
     with pytest.raises(ValueError, match=r"Expected|missing"):
-        rows_of(answer)
+        msgspec.convert(answer, list[UnitRow], strict=False)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +46,7 @@ def test_what_is_no_list_of_rows_is_an_error(answer: object) -> None:
         (row("/a", "of a later version"), Health.CHANGING),
     ],
 )
-def test_a_state_is_judged(what: TopRow, expected: Health) -> None:
+def test_a_state_is_judged(what: UnitRow, expected: Health) -> None:
     assert health(what) is expected
 
 
@@ -85,7 +87,7 @@ def test_what_is_looked_for_comes_first(order: Order, is_reversed: bool, names: 
         ("/chat:", ["/talker"]),
         ("/chat:*", ["/talker"]),
         ("[", []),
-        ("nobody", []),
+        ("absent", []),
     ],
 )
 def test_rows_are_chosen_by_name(pattern: str, names: list[str]) -> None:

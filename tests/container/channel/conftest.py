@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
-import play_launch_msgs.msg as msgs
 import pytest
 from blockbuster import blockbuster_ctx
-from rclpy.serialization import serialize_message
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from play_launch.container.cdr.messages import CONTROL_HELLO
 
 
 @pytest.fixture
@@ -19,11 +16,9 @@ def anyio_backend() -> str:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _the_peer_is_loaded() -> None:
-    """Load the type supports of the other side, which takes long and must not happen in a loop."""
-    for name in dir(msgs):
-        if isinstance(kind := getattr(msgs, name), type):
-            serialize_message(kind())
+def _definitions_are_read() -> None:
+    """Read the definitions of our messages, all at once, before a loop runs."""
+    assert CONTROL_HELLO.types
 
 
 @pytest.fixture(autouse=True)

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import socket
+from collections.abc import AsyncIterator
 from contextlib import closing
-from typing import TYPE_CHECKING
+from typing import Any
 
 import pytest
+from msgspec import structs
 
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
 from play_launch.container import channel as channel_module
-from play_launch.container.channel import (
-    ChannelClosedError,
-    ChannelOverflowError,
-    ControlChannel,
+from play_launch.container.cdr import messages as layouts
+from play_launch.container.channel import ChannelClosedError, ControlChannel, VersionMismatchError
+from play_launch.container.codec import (
     ControlError,
-    ProtocolViolationError,
-    VersionMismatchError,
+    EncodeError,
+    FrameDecoder,
+    FrameKind,
+    encode_frame,
+    encode_message,
 )
-from play_launch.container.codec import EncodeError, FrameDecoder, encode_frame, encode_message
 from play_launch.container.messages import (
     Accepted,
     Cancel,
@@ -28,7 +31,6 @@ from play_launch.container.messages import (
     Load,
     NodeStatus,
     NodeStatusState,
-    Outgoing,
     Query,
     Rejected,
     Shutdown,
@@ -36,10 +38,6 @@ from play_launch.container.messages import (
     Unload,
 )
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
-from tests.container.channel.peer import frame_of, outgoing
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
 
 pytestmark = pytest.mark.anyio
 OURS = Hello(version="1.0")
@@ -85,6 +83,35 @@ def event(number: int) -> ComponentEvent:
     )
 
 
+SAID = {
+    Hello: (FrameKind.HELLO, layouts.CONTROL_HELLO),
+    Accepted: (FrameKind.ACCEPTED, layouts.CONTROL_ACCEPTED),
+    Rejected: (FrameKind.REJECTED, layouts.CONTROL_REJECTED),
+    Status: (FrameKind.STATUS, layouts.CONTROL_STATUS),
+    ComponentEvent: (FrameKind.EVENT, layouts.COMPONENT_EVENT),
+}
+HEARD = {
+    FrameKind.HELLO: layouts.CONTROL_HELLO,
+    FrameKind.LOAD: layouts.CONTROL_LOAD,
+    FrameKind.QUERY: layouts.CONTROL_QUERY,
+    FrameKind.CANCEL: layouts.CONTROL_CANCEL,
+    FrameKind.UNLOAD: layouts.CONTROL_UNLOAD,
+    FrameKind.SHUTDOWN: layouts.CONTROL_SHUTDOWN,
+}
+
+
+def frame_of(message: Incoming) -> bytes:
+    """What a container sends."""
+    kind, layout = SAID[type(message)]
+    values = {name: getattr(message, name, None) for name in layout.types}
+    match message:
+        case ComponentEvent():
+            values |= {"stamp": message.stamp_ns, "event_type": message.kind}
+        case Status():
+            values["nodes"] = tuple(map(structs.asdict, message.nodes))
+    return encode_frame(kind, layout.write(values))
+
+
 class Container:
     """The other end; whole messages in and out, or any bytes."""
 
@@ -93,7 +120,7 @@ class Container:
         self.socket = end
         self.other_end = other_end
         self._decoder = FrameDecoder()
-        self._received: list[Outgoing] = []
+        self._received: list[tuple[FrameKind, dict[str, Any]]] = []
 
     async def say(self, *messages: Incoming) -> None:
         await self.write(b"".join(frame_of(message) for message in messages))
@@ -101,12 +128,13 @@ class Container:
     async def write(self, data: bytes) -> None:
         await asyncio.get_running_loop().sock_sendall(self.socket, data)
 
-    async def hear(self) -> Outgoing:
+    async def hear(self) -> tuple[FrameKind, dict[str, Any]]:
         while not self._received:
             data = await asyncio.get_running_loop().sock_recv(self.socket, 65536)
             assert data, "the supervisor closed the channel"
             for frame in self._decoder.feed(data):
-                self._received.append(outgoing(frame))
+                kind = FrameKind(frame.kind)
+                self._received.append((kind, HEARD[kind].read(frame.payload)))
         return self._received.pop(0)
 
 
@@ -125,14 +153,7 @@ async def channel(container: Container) -> AsyncIterator[ControlChannel]:
 
 
 async def receive(channel: ControlChannel) -> Incoming:
-    async with asyncio.timeout(60):
-        return await channel.receive()
-
-
-async def test_hello_is_answered(channel: ControlChannel, container: Container) -> None:
-    await container.say(THEIRS)
-    assert await channel.handshake(OURS) == THEIRS
-    assert await container.hear() == OURS
+    return await channel.receive()
 
 
 async def test_everything_is_understood_on_both_sides(
@@ -143,12 +164,18 @@ async def test_everything_is_understood_on_both_sides(
     channel.send(Cancel(unique_id=3))
     channel.send(Unload(unique_id=4))
     channel.send(Shutdown(reason="enough"))
-    assert [await container.hear() for _ in range(5)] == [
-        LOAD,
-        Query(query_id=5, unique_ids=(1, 2)),
-        Cancel(unique_id=3),
-        Unload(unique_id=4),
-        Shutdown(reason="enough"),
+    kind, load = await container.hear()
+    parameters = [
+        {name: value for name, value in each["value"].items() if value}
+        for each in (*load.pop("parameters"), *load.pop("extra_arguments"))
+    ]
+    assert parameters == [{"type": 3, "double_value": 5.0}, {"type": 1, "bool_value": True}]
+    assert (kind, load) == (FrameKind.LOAD, {name: getattr(LOAD, name) for name in load})
+    assert [await container.hear() for _ in range(4)] == [
+        (FrameKind.QUERY, {"query_id": 5, "unique_ids": (1, 2)}),
+        (FrameKind.CANCEL, {"unique_id": 3}),
+        (FrameKind.UNLOAD, {"unique_id": 4}),
+        (FrameKind.SHUTDOWN, {"reason": "enough"}),
     ]
     answers: list[Incoming] = [
         Accepted(attempt=1, unique_id=1),
@@ -165,8 +192,7 @@ async def test_the_end_comes_after_what_was_said(
 ) -> None:
     await container.say(*(event(number) for number in range(500)))
     container.socket.close()
-    async with asyncio.timeout(60):
-        got = [await channel.receive() for _ in range(500)]
+    got = [await channel.receive() for _ in range(500)]
     assert got == [event(number) for number in range(500)]
     with pytest.raises(ChannelClosedError, match=r"closed the control channel$"):
         await channel.receive()
@@ -182,8 +208,7 @@ async def test_sending_to_the_dead_loses_nothing_that_they_said(
     channel.send(Query(query_id=1))
     with pytest.raises(ChannelClosedError, match="gone"):
         channel.send(Query(query_id=2))
-    async with asyncio.timeout(60):
-        assert [await channel.receive() for _ in range(2)] == [event(1), event(2)]
+    assert [await channel.receive() for _ in range(2)] == [event(1), event(2)]
 
 
 async def test_an_end_inside_a_frame_is_an_end(
@@ -211,7 +236,7 @@ async def test_rubbish_ends_the_channel_after_what_was_said(
     await container.write(data)
     assert await receive(channel) == event(1)
     for _ in range(2):
-        with pytest.raises(ProtocolViolationError, match=text):
+        with pytest.raises(ControlError, match=text):
             await receive(channel)
     assert await asyncio.get_running_loop().sock_recv(container.socket, 1) == b""
 
@@ -220,7 +245,7 @@ async def test_a_message_for_containers_is_refused(
     channel: ControlChannel, container: Container
 ) -> None:
     await container.write(encode_message(LOAD))
-    with pytest.raises(ProtocolViolationError, match="only a supervisor may"):
+    with pytest.raises(ControlError, match="only a supervisor may"):
         await receive(channel)
 
 
@@ -236,7 +261,7 @@ async def test_an_unknown_kind_is_skipped_and_reported(
 async def test_another_version_in_a_frame_is_told(
     channel: ControlChannel, container: Container
 ) -> None:
-    await container.write(encode_frame(1, b"who knows", version=2))
+    await container.write(encode_frame(1, b"unknown", version=2))
     with pytest.raises(VersionMismatchError, match="version 2") as caught:
         await channel.handshake(OURS)
     assert caught.value.version == 2
@@ -255,7 +280,7 @@ async def test_who_does_not_say_hello_is_refused(
     channel: ControlChannel, container: Container
 ) -> None:
     await container.say(event(1), THEIRS)
-    with pytest.raises(ProtocolViolationError, match="ComponentEvent came instead of a hello"):
+    with pytest.raises(ControlError, match="ComponentEvent came instead of a hello"):
         await channel.handshake(OURS)
 
 
@@ -295,9 +320,9 @@ async def test_who_does_not_read_is_broken(
             channel.send(LOAD)
 
     for _ in range(2):
-        with pytest.raises(ChannelOverflowError, match="does not read"):
+        with pytest.raises(ControlError, match="does not read"):
             send_many()
-    with pytest.raises(ChannelOverflowError):
+    with pytest.raises(ControlError):
         await receive(channel)
 
 
@@ -309,7 +334,7 @@ async def test_what_the_socket_does_not_take_at_once_is_sent_later(
     for number in range(count):
         channel.send(Cancel(unique_id=number))
     for number in range(count):
-        assert await container.hear() == Cancel(unique_id=number)
+        assert await container.hear() == (FrameKind.CANCEL, {"unique_id": number})
 
 
 async def test_a_message_that_cannot_be_sent_harms_nobody(
@@ -318,7 +343,7 @@ async def test_a_message_that_cannot_be_sent_harms_nobody(
     with pytest.raises(EncodeError):
         channel.send(Cancel(unique_id=-1))
     channel.send(Cancel(unique_id=1))
-    assert await container.hear() == Cancel(unique_id=1)
+    assert await container.hear() == (FrameKind.CANCEL, {"unique_id": 1})
 
 
 async def test_closing_wakes_the_reader(channel: ControlChannel, container: Container) -> None:

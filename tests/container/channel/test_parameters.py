@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -15,27 +16,14 @@ from play_launch.container.parameter_files import (
     ParameterFileError,
     parameter_file_text,
 )
-from play_launch.ros.parameters import to_parameter_message
-from tests.container.channel.peer import from_parameter_message
-from tests.container.channel.values import FILE_VALUES, TEXT, values
+from tests.container.channel.values import FILE_VALUES
 from tests.support.ros import begin
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,8}(\.[a-z][a-z0-9_]{0,8}){0,2}", fullmatch=True)
 
 
 def parameter(kind: ParameterType, value: Any, name: str = "p") -> ParameterConfig:
     return ParameterConfig(name, ParameterValue(kind, value))
-
-
-@given(values(), TEXT)
-def test_a_message_keeps_value_and_type(value: ParameterValue, name: str) -> None:
-    config = ParameterConfig(name, value)
-    back = from_parameter_message(to_parameter_message(config))
-    assert back == config
-    assert type(back.value.value) is type(value.value)
 
 
 def through_yaml(parameters: list[ParameterConfig]) -> dict[str, Any]:

@@ -54,15 +54,6 @@ def test_a_container_with_everything() -> None:
     )
 
 
-def test_a_prefix_comes_first() -> None:
-    prefix = ("gdb", "-ex", "set print on", "--args")
-    own = container_argv(container(prefix=prefix), BINARY)
-    assert own == (*prefix, *container_argv(container(), BINARY))
-    assert process_argv(process(prefix=prefix, command=("x", "-y"))) == (*prefix, "x", "-y")
-    installed = process_argv(process(prefix=prefix, arguments=("-y",)), executable=Path("/x"))
-    assert installed == (*prefix, "/x", "-y")
-
-
 @pytest.mark.parametrize(
     ("kind", "isolation", "flags"),
     [
@@ -111,11 +102,6 @@ def test_a_stock_container_gets_its_arguments_before_those_for_ros() -> None:
     )
 
 
-def test_a_command_with_nothing_for_ros_stays_as_it_is() -> None:
-    labelled = process(command=("sleep", "1"), name="nap", namespace="/bed")
-    assert process_argv(labelled) == ("sleep", "1")
-
-
 def test_a_node_with_everything() -> None:
     config = process(
         name="listener",
@@ -138,11 +124,6 @@ def test_a_node_with_everything() -> None:
 def test_a_nameless_node_keeps_its_own_name() -> None:
     argv = process_argv(process(command=("node",), log_level="info"))
     assert argv == ("node", "--ros-args", "--log-level", "info")
-
-
-def test_a_node_without_a_program_is_an_error() -> None:
-    with pytest.raises(ValueError, match="neither a command nor an executable"):
-        process_argv(process(package="demo", executable="listener"))
 
 
 def test_executables_are_found_in_the_first_prefix(tmp_path: Path) -> None:

@@ -88,19 +88,13 @@ def test_programs_are_found_here_or_in_a_workspace(tmp_path: Path, prefix: Path)
     workspace = tmp_path / "workspace"
     environ = sourced(tmp_path / "empty", workspace)
     for find in (component_container, spawn_guard):
-        with pytest.raises(NotInstalledError, match=rf"{find.__name__}.*pip install"):
+        with pytest.raises(NotInstalledError, match=rf"{find.args[0]}.*pip install"):
             find(environ, prefix=prefix)
         for place in (workspace, prefix):
-            program = place / "lib" / "play_launch_container" / find.__name__
+            program = place / "lib" / "play_launch_container" / find.args[0]
             program.parent.mkdir(parents=True, exist_ok=True)
             program.touch(0o755)
             assert find(environ, prefix=prefix) == program
-
-
-def test_this_environment_has_all() -> None:
-    assert ros_installation().prefix == Path(sys.prefix)
-    assert os.access(component_container(), os.X_OK)
-    assert os.access(spawn_guard(), os.X_OK)
 
 
 def python_packages(folder: Path, suffix: str) -> None:

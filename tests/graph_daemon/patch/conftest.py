@@ -30,10 +30,17 @@ class Ros:
         return outcome.stdout.strip()
 
 
+@pytest.fixture(scope="session")
+def changing_ros(tmp_path_factory: pytest.TempPathFactory) -> Ros:
+    return make_ros(tmp_path_factory.mktemp("changing") / "ros")
+
+
 @pytest.fixture
-def ros(tmp_path: Path) -> Ros:
-    """One of the test's own."""
-    return make_ros(tmp_path / "ros")
+def ros(changing_ros: Ros) -> Ros:
+    """One whose packages are as if the test were the first."""
+    shutil.rmtree(changing_ros.site)
+    fill(changing_ros.site)
+    return changing_ros
 
 
 @pytest.fixture(scope="session")
@@ -49,6 +56,11 @@ def make_ros(root: Path) -> Ros:
         [sys.executable, "-m", "venv", "--without-pip", str(root)], check=True, timeout=LIMIT
     )
     (site,) = root.glob("lib/python3*/site-packages")
+    fill(site)
+    return Ros(root, root / "bin" / "python", site)
+
+
+def fill(site: Path) -> None:
     for package in ("ros2cli", "rclpy"):
         shutil.copytree(
             STAND_IN / package,
@@ -56,7 +68,6 @@ def make_ros(root: Path) -> Ros:
             ignore=shutil.ignore_patterns("__pycache__"),
         )
     write_release(site, "0.32.2")
-    return Ros(root, root / "bin" / "python", site)
 
 
 def write_release(site: Path, version: str) -> None:

@@ -39,7 +39,7 @@ CALLS: tuple[tuple[str, tuple[Any, ...]], ...] = (
     ("get_action_names_and_types", ()),
     ("count_publishers", ("/rosout",)),
     ("count_subscribers", ("/rosout",)),
-    ("get_publisher_names_and_types_by_node", ("nobody", "/")),
+    ("get_publisher_names_and_types_by_node", ("absent", "/")),
     ("get_publishers_info_by_topic", ("/nothing",)),
     ("no_such_method", ()),
 )

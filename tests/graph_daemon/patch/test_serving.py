@@ -89,13 +89,13 @@ def request(method: str, arguments: tuple[Any, ...] = ()) -> bytes:
 
 def read_answer(connection: socket.socket) -> Any:
     """Read as much as the head announces, and no more."""
-    received = b""
+    received = bytearray()
     while True:
         received += connection.recv(1 << 20)
         length = re.search(rb"(?i)content-length: (\d+)", received)
         head = received.find(b"\r\n\r\n")
         if head >= 0 and length and len(received) >= head + 4 + int(length[1]):
-            return xmlrpc.client.loads(received[head + 4 :])[0][0]
+            return xmlrpc.client.loads(bytes(received[head + 4 :]))[0][0]
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_answers_about_the_graph_are_given_again_for_a_while(daemon: Daemon) -> 
     assert asked[0] == 1
     assert asked == sorted(asked)
     assert asked[-1] < len(asked)
-    # Not for ever.
+    # Not without end.
     deadline = time.monotonic() + LIMIT
     while daemon.call("get_count") == asked[-1]:
         assert time.monotonic() < deadline
@@ -194,33 +194,6 @@ def test_what_is_too_large_is_refused(daemon: Daemon, sent: bytes) -> None:
     assert daemon.call("get_large", 1) == "x"
 
 
-@pytest.mark.parametrize(
-    ("sent", "status"),
-    [
-        (b"GET /ros2cli/ HTTP/1.0\r\n\r\n", b"501"),
-        (request("get_count").replace(b"/ros2cli/", b"/other/"), b"404"),
-        (b"POST /ros2cli/ HTTP/1.0\r\n\r\n", b"500"),
-        (b"\x00\x01\r\n\r\n", b"400"),
-    ],
-)
-def test_what_is_no_call_is_answered_as_before(daemon: Daemon, sent: bytes, status: bytes) -> None:
-    with daemon.connect() as client:
-        client.sendall(sent)
-        client.shutdown(socket.SHUT_WR)
-        assert status in read_all_or_reset(client)[:400]
-    assert daemon.call("get_large", 1) == "x"
-
-
-def read_all_or_reset(client: socket.socket) -> bytes:
-    received = b""
-    try:
-        while chunk := client.recv(1 << 16):
-            received += chunk
-    except ConnectionResetError:
-        pass
-    return received
-
-
 def test_a_crowd_is_queued_while_the_daemon_is_busy(daemon: Daemon) -> None:
     os.kill(daemon.process.pid, signal.SIGSTOP)
     with ExitStack() as stack:
@@ -230,13 +203,6 @@ def test_a_crowd_is_queued_while_the_daemon_is_busy(daemon: Daemon) -> None:
             client.sendall(request("get_large", (5,)))
         os.kill(daemon.process.pid, signal.SIGCONT)
         assert [read_answer(client) for client in crowd] == ["xxxxx"] * 120
-
-
-def test_more_connections_than_are_kept_do_no_harm(daemon: Daemon) -> None:
-    with ExitStack() as stack:
-        for _ in range(400):
-            stack.enter_context(daemon.connect())
-        assert daemon.call("get_large", 2) == "xx"
 
 
 def test_the_port_is_free_after_many_calls(daemon: Daemon) -> None:

@@ -88,7 +88,7 @@ def prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Prefix]:
     monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(paths))
     use_launch(monkeypatch)
     yield Prefix(tmp_path)
-    # Launch has a folder for its logs, which nobody needs of an evaluation.
+    # Launch has a folder for its logs, which an evaluation does not need.
     assert [str(path) for path in (tmp_path / "home").rglob("*")] == []
 
 

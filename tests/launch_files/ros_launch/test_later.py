@@ -28,7 +28,7 @@ async def sleep(context):
 class Stop(ShutdownEvent):
     pass
 
-everybody = lambda action: True
+every = lambda action: True
 a, b, c, d, e = (process(name) for name in "abcde")
 """
 MANAGED = """
@@ -44,6 +44,18 @@ def change(node, transition):
 m = LifecycleNode(package="pkg", executable="talker", name="m", namespace="")
 CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
 """
+
+
+def on_exit(of: str, *then: str) -> str:
+    return f"RegisterEventHandler(OnProcessExit(target_action={of}, on_exit=[{', '.join(then)}]))"
+
+
+def on_start(of: str, *then: str) -> str:
+    return f"RegisterEventHandler(OnProcessStart(target_action={of}, on_start=[{', '.join(then)}]))"
+
+
+def timer(period: float, *then: str) -> str:
+    return f"TimerAction(period={period}, actions=[{', '.join(then)}])"
 
 
 def when(node: str, goal: str, then: str) -> str:
@@ -83,74 +95,25 @@ def delay(seconds: float) -> StartCondition:
 @pytest.mark.parametrize(
     ("evaluated", "expected"),
     [
+        ([on_exit("a", "b"), "a"], {"a": [], "b": [exited("p1")]}),
         (
-            ["RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[b]))", "a"],
-            {"a": [], "b": [exited("p1")]},
-        ),
-        (
-            [
-                "a",
-                "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[b]))",
-                "RegisterEventHandler(OnProcessExit(target_action=b, on_exit=[c]))",
-            ],
+            ["a", on_exit("a", "b"), on_exit("b", "c")],
             {"a": [], "b": [exited("p1")], "c": [exited("p2")]},
         ),
+        (["a", on_start("a", "b")], {"a": [], "b": [started("p1")]}),
+        ([timer(2.0, "a", timer(3.0, "b"))], {"a": [delay(2)], "b": [delay(2), delay(3)]}),
+        (["a", on_exit("a", timer(1.0, "b"))], {"a": [], "b": [exited("p1"), delay(1)]}),
         (
-            ["a", "RegisterEventHandler(OnProcessStart(target_action=a, on_start=[b]))"],
-            {"a": [], "b": [started("p1")]},
-        ),
-        (
-            [
-                "TimerAction(period=2.0, actions=[a, TimerAction(period=3.0, actions=[b])])",
-            ],
-            {"a": [delay(2)], "b": [delay(2), delay(3)]},
-        ),
-        (
-            [
-                "a",
-                (
-                    "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=["
-                    "TimerAction(period=1.0, actions=[b])]))"
-                ),
-            ],
-            {"a": [], "b": [exited("p1"), delay(1)]},
-        ),
-        (
-            [
-                "a",
-                "b",
-                (
-                    "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=["
-                    "RegisterEventHandler(OnProcessExit(target_action=b, on_exit=[c]))]))"
-                ),
-            ],
+            ["a", "b", on_exit("a", on_exit("b", "c"))],
             {"a": [], "b": [], "c": [exited("p1"), exited("p2")]},
         ),
         (
-            [
-                "a",
-                (
-                    "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[b, "
-                    "RegisterEventHandler(OnProcessExit(target_action=b, on_exit=[c]))]))"
-                ),
-            ],
+            ["a", on_exit("a", "b", on_exit("b", "c"))],
             {"a": [], "b": [exited("p1")], "c": [exited("p2")]},
         ),
-        (
-            # Never started, so nothing follows it in launch either.
-            ["RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[b]))"],
-            {},
-        ),
-        (
-            [
-                "a",
-                (
-                    "RegisterEventHandler(OnProcessStart(target_action=a, on_start=["
-                    "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[b]))]))"
-                ),
-            ],
-            {"a": [], "b": [exited("p1")]},
-        ),
+        # Never started, so nothing follows it in launch either.
+        ([on_exit("a", "b")], {}),
+        (["a", on_start("a", on_exit("a", "b"))], {"a": [], "b": [exited("p1")]}),
     ],
     indirect=["evaluated"],
 )
@@ -161,12 +124,7 @@ def test_processes(evaluated: Description, expected: dict[str, list[StartConditi
 
 @pytest.mark.parametrize(
     "evaluated",
-    [
-        [
-            "TimerAction(period=3.0, actions=[SetEnvironmentVariable('LATE', '1'), b])",
-            "TimerAction(period=1.0, actions=[a])",
-        ]
-    ],
+    [[timer(3.0, "SetEnvironmentVariable('LATE', '1')", "b"), timer(1.0, "a")]],
     indirect=True,
 )
 def test_timers_fire_in_the_order_of_their_times(evaluated: Description) -> None:
@@ -178,7 +136,7 @@ def test_timers_fire_in_the_order_of_their_times(evaluated: Description) -> None
     "evaluated",
     [
         ["ExecuteProcess(cmd=['true', 'a'], on_exit=[Shutdown(reason='over')])"],
-        ["a", "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[Shutdown()]))"],
+        ["a", on_exit("a", "Shutdown()")],
         ["a", "RegisterEventHandler(OnProcessExit(on_exit=[EmitEvent(event=Stop())]))"],
     ],
     indirect=True,
@@ -188,7 +146,6 @@ def test_shutdown_when_a_process_exits(evaluated: Description) -> None:
     assert evaluated.losses == []
 
 
-CONFIGURE_AT_START = "OnProcessStart(target_action=m, on_start=[change(m, CONFIGURE)])"
 BOTH = "lifecycle_node_names=['m'], transition_ids=[CONFIGURE, ACTIVATE]"
 
 
@@ -197,7 +154,7 @@ BOTH = "lifecycle_node_names=['m'], transition_ids=[CONFIGURE, ACTIVATE]"
     [
         [
             "m",
-            f"RegisterEventHandler({CONFIGURE_AT_START})",
+            on_start("m", "change(m, CONFIGURE)"),
             when("m", "inactive", "change(m, ACTIVATE)"),
             when("m", "active", "a"),
         ],
@@ -232,13 +189,13 @@ def test_a_node_that_is_only_configured(evaluated: Description) -> None:
         ),
         (["a", "RegisterEventHandler(OnShutdown(on_shutdown=[b]))"], "OnShutdown"),
         (["a", "Shutdown(reason='over')"], "shuts everything down"),
-        (["a", "TimerAction(period=5.0, actions=[Shutdown()])"], "when 5 s have passed"),
-        (["m", "TimerAction(period=5.0, actions=[change(m, CONFIGURE)])"], "when 5 s have passed"),
+        (["a", timer(5.0, "Shutdown()")], "when 5 s have passed"),
+        (["m", timer(5.0, "change(m, CONFIGURE)")], "when 5 s have passed"),
         (["m", "change(m, Transition.TRANSITION_ACTIVATE)"], "not possible when unconfigured"),
         (
             [
                 "a",
-                "EmitEvent(event=SignalProcess(signal_number='SIGINT', process_matcher=everybody))",
+                "EmitEvent(event=SignalProcess(signal_number='SIGINT', process_matcher=every))",
             ],
             "ended by the launch file",
         ),
@@ -269,19 +226,12 @@ def test_a_node_that_is_only_configured(evaluated: Description) -> None:
             [
                 "a",
                 "(h := RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[b])))",
-                "TimerAction(period=9.0, actions=[UnregisterEventHandler(h.event_handler)])",
+                timer(9.0, "UnregisterEventHandler(h.event_handler)"),
             ],
             "UnregisterEventHandler when 9 s have passed: the handler stays",
         ),
         (
-            [
-                "a",
-                "b",
-                (
-                    "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=["
-                    "RegisterEventHandler(OnProcessExit(target_action=b, on_exit=[Shutdown()]))]))"
-                ),
-            ],
+            ["a", "b", on_exit("a", on_exit("b", "Shutdown()"))],
             "when true a has exited and then true b has exited",
         ),
         (["m", when("m", "active", "a")], "OnStateTransition: what it handles does not follow"),
@@ -314,14 +264,8 @@ def test_what_has_no_record_is_reported_with_its_place(evaluated: Description, w
         [
             "LogInfo(msg='now')",
             "a",
-            (
-                "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=["
-                "LogInfo(msg='later'), TimerAction(period=1.0, actions=[b])]))"
-            ),
-            (
-                "RegisterEventHandler(OnProcessStart(target_action=a, on_start=["
-                "OpaqueFunction(function=lambda context: [c])]))"
-            ),
+            on_exit("a", "LogInfo(msg='later')", timer(1.0, "b")),
+            on_start("a", "OpaqueFunction(function=lambda context: [c])"),
         ]
     ],
     indirect=True,
@@ -343,6 +287,7 @@ HANDLER = """class Mine(EventHandler):
     def handle(self, event, context): return release()
 class MyStart(OnProcessStart):
     def handle(self, event, context): return release()"""
+RELEASING = "OpaqueFunction(function=release)"
 EXITED = "matcher=lambda event: isinstance(event, ProcessExited)"
 
 
@@ -350,16 +295,13 @@ EXITED = "matcher=lambda event: isinstance(event, ProcessExited)"
     "entity",
     [
         "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=release))",
-        "RegisterEventHandler(OnProcessExit(on_exit=[OpaqueFunction(function=release)]))",
+        f"RegisterEventHandler(OnProcessExit(on_exit=[{RELEASING}]))",
         "RegisterEventHandler(OnExecutionComplete(target_action=a, on_completion=release))",
         f"RegisterEventHandler(Mine({EXITED}, entities=[]))",
         "RegisterEventHandler(OnProcessStart(target_action=a, on_start=release))",
-        "RegisterEventHandler(OnProcessStart(on_start=[OpaqueFunction(function=release)]))",
+        f"RegisterEventHandler(OnProcessStart(on_start=[{RELEASING}]))",
         "RegisterEventHandler(MyStart(target_action=a, on_start=[]))",
-        (
-            "RegisterEventHandler(OnProcessExit(on_exit=[TimerAction(period=1.0, actions=["
-            "OpaqueFunction(function=release)])]))"
-        ),
+        f"RegisterEventHandler(OnProcessExit(on_exit=[{timer(1.0, RELEASING)}]))",
     ],
 )
 def test_functions_for_events_are_reported_and_not_called(
@@ -379,24 +321,16 @@ def generate_launch_description():
 
 
 @pytest.mark.parametrize(
-    ("evaluated", "words"),
-    [
-        (["ExecuteProcess(cmd=['true'], output_format='{line}')"], "output_format"),
-    ],
-    indirect=["evaluated"],
+    "evaluated", [["ExecuteProcess(cmd=['true'], output_format='{line}')"]], indirect=True
 )
-def test_what_is_only_done_in_another_way_is_noted(evaluated: Description, words: str) -> None:
+def test_what_is_only_done_in_another_way_is_noted(evaluated: Description) -> None:
     (note,) = evaluated.losses
     assert note.is_note
-    assert note.what.startswith(words)
+    assert note.what.startswith("output_format")
     assert "a.launch.py:" in note.where
 
 
-@pytest.mark.parametrize(
-    "evaluated",
-    [["a", "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[GroupAction([b])]))"]],
-    indirect=True,
-)
+@pytest.mark.parametrize("evaluated", [["a", on_exit("a", "GroupAction([b])")]], indirect=True)
 def test_the_place_is_that_of_the_action(evaluated: Description) -> None:
     line = HEAD.lstrip().count("\n", 0, HEAD.lstrip().index("return ExecuteProcess")) + 1
     assert [each.origin.line for each in processes(evaluated)] == [line, line]

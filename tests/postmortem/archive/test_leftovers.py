@@ -1,4 +1,4 @@
-"""What was cut off is completed, once, whoever is killed meanwhile."""
+"""What was cut off is completed, once, whichever process is killed meanwhile."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Traces keep to the format, whatever happened, and say what did."""
+"""Traces keep to the format, whatever happened, and show it."""
 
 from __future__ import annotations
 

@@ -14,8 +14,7 @@ from play_launch.postmortem.report.page import render
 from play_launch.postmortem.timeline import Timeline
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
-from play_launch.recording.session import METADATA_NAME
-from play_launch.recording.topics import ALL_TOPICS
+from play_launch.recording.topics import ALL_TOPICS, METADATA_NAME
 from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,

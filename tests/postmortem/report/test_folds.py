@@ -38,6 +38,7 @@ from play_launch.supervisor.events import (
 )
 from play_launch.supervisor.outcome import Cause, Sequel
 from tests.postmortem.report.recordings import BEGIN, gather, record
+from tests.postmortem.scenes import Scene
 
 KEY = NodeKey("/box", "/sensing/talker")
 TALKER = str(KEY)
@@ -262,7 +263,7 @@ def test_samples_of_days_keep_their_spikes(
     for second in range(1000):
         spike = 98.0 if second == 777 else 5.0
         size = 1000 if second == 333 else 2000
-        found.process(0, second * 1000.0, spike, size, MemoryKind.PSS)
+        found.process(0, MemoryKind.PSS, [second * 1000.0], [spike], [size])
     found.finish()
     (series,) = found.of_rows.values()
     cpu, memory = series.columns
@@ -273,6 +274,21 @@ def test_samples_of_days_keep_their_spikes(
     assert series.times[-1] == 999_000
     distances = [b - a for a, b in pairwise(series.times)]
     assert max(distances[:20]) == max(distances)  # early ones are no coarser than later ones
+
+
+def test_every_sample_is_drawn_however_units_follow_each_other(tmp_path: Path) -> None:
+    scene = Scene()
+    for at in range(20):
+        scene.used(at, "/a", cpu_percent=at)
+    for at in range(20, 40):
+        scene.used(at, "/a", cpu_percent=at)
+        scene.used(at, "/b", cpu_percent=-at)
+    found = gather(scene.record(tmp_path / "session.mcap"))
+    names = [row.name for row in found.rows()]
+    drawn = {names[row]: series for row, series in found.usage.of_rows.items()}
+    assert list(drawn["/a"].columns[0]) == list(range(40))
+    assert list(drawn["/a"].times) == [at * 1000 for at in range(40)]
+    assert list(drawn["/b"].columns[0]) == [-at for at in range(20, 40)]
 
 
 def test_what_is_not_known_does_not_disturb_thinning(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -287,7 +303,7 @@ def test_what_is_not_known_does_not_disturb_thinning(monkeypatch: pytest.MonkeyP
 
 def test_shared_memory_is_told_apart() -> None:
     found = Usage()
-    found.process(3, 0.0, 1.0, 5, MemoryKind.SHARED)
+    found.process(3, MemoryKind.SHARED, [0.0], [1.0], [5])
     assert [series.is_shared for series in found.of_rows.values()] == [True]
 
 

@@ -123,7 +123,7 @@ def test_it_draws_everything(opened: Browser) -> None:
     opened.drawn()
     first = opened.run("facts.story[0]")
     assert opened.run("facts.marks[timeline.mark].at") == pytest.approx(first["at"], abs=1)
-    assert first["who"] in opened.run("byId('failure').innerText")
+    assert first["name"] in opened.run("byId('failure').innerText")
 
 
 def test_the_script_reads_what_was_packed(opened: Browser, folder: Path) -> None:
@@ -389,7 +389,7 @@ def test_parameters_are_shown_when_their_node_is_opened(browser: Browser, folder
 
 
 def test_the_policy_stops_what_would_be_injected(browser: Browser, page: Path) -> None:
-    """Were a text ever put in as markup, it would still run nothing and ask nobody."""
+    """Were a text ever put in as markup, it would still run nothing and load nothing."""
     browser.open(page)
     browser.run(
         """(() => { const box = document.createElement('div');

@@ -119,8 +119,8 @@ def test_it_tells_what_happened(page: Reader, explained: str) -> None:
     assert facts["marks"] == sorted(facts["marks"], key=lambda mark: mark["at"])
     first = facts["story"][0]
     marks = [mark for mark in facts["marks"] if mark["at"] == pytest.approx(first["at"], abs=1.0)]
-    assert first["who"] in {facts["rows"][mark["row"]]["name"] for mark in marks}
-    assert first["title"].startswith(first["who"])
+    assert first["name"] in {facts["rows"][mark["row"]]["name"] for mark in marks}
+    assert first["title"].startswith(first["name"])
     assert first["lines"][0].startswith("Cause: SIG")
     # As explain says it.
     assert first["title"] in explained

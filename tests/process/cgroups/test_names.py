@@ -8,7 +8,7 @@ from pathlib import Path
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from play_launch.config.resources import NO_LIMIT, GroupLimits, cpu_text, cpus_in
+from play_launch.config.resources import NO_LIMIT, GroupLimits
 from play_launch.process.cgroups.group import (
     Group,
     SessionName,
@@ -40,11 +40,6 @@ def test_no_two_members_share_a_group(one: str, other: str) -> None:
     assert re.fullmatch(r"[\x21-\x7e]+", name)
     # The files of the kernel have a dot.
     assert not set("/.") & set(name)
-
-
-@given(st.sets(st.integers(0, 1023)))
-def test_lists_of_cpus_are_parsed(cpus: set[int]) -> None:
-    assert cpus_in(cpu_text(cpus)) == cpus
 
 
 MOUNTS = """\
@@ -93,9 +88,3 @@ def test_sizes_have_the_unit_that_makes_them_shortest(tmp_path: Path) -> None:
     for size, text in ((512 * 10**6, "512 MB"), (2**30, "1 GiB")):
         why = why_killed(Group(tmp_path, GroupLimits(memory_max=size)))
         assert why == f"killed by the kernel: memory.max {text} of its control group"
-
-
-@given(st.builds(GroupLimits, cpu_weight=st.none() | numbers, pids_max=st.none() | numbers))
-def test_files_and_controllers_belong_together(limits: GroupLimits) -> None:
-    assert {file.partition(".")[0] for file in limits.files()} == limits.controllers()
-    assert bool(limits) == bool(limits.files()) == bool(limits.described())

@@ -1,25 +1,41 @@
-"""Samples of real processes."""
+"""Samples of real processes and of the machine."""
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import psutil
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from play_launch.config.node_key import NodeKey
 from play_launch.process.identity import read_stat
 from play_launch.process.sampling import processes
-from play_launch.process.sampling.processes import Sampler, Target
-from play_launch.supervisor.events import MemoryKind, ProcessSample, SubjectKind
+from play_launch.process.sampling.machine import MachineSampler, core_times
+from play_launch.process.sampling.processes import Sampler, Target, targets
+from play_launch.supervisor.events import (
+    ContainerState,
+    ContainerStateChanged,
+    MemoryKind,
+    NodeState,
+    NodeStateChanged,
+    ProcessEvent,
+    ProcessEventKind,
+    ProcessSample,
+    RunEvent,
+    SubjectKind,
+)
+from play_launch.supervisor.view import SystemView
+from tests.recording.test_states import EVENTS
 from tests.support.waiting import until
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 MEGABYTE = 1_000_000
 # For each line it gets, it touches as many bytes, and answers.
@@ -132,14 +148,6 @@ def test_the_memory_of_a_leak_grows(is_visible: bool, monkeypatch: pytest.Monkey
     assert grown.memory_bytes - before.memory_bytes > 45 * MEGABYTE
 
 
-def test_the_memory_holds_for_its_period() -> None:
-    with running(GROWING) as leak:
-        sampler, measured = Sampler(), target(leak.pid)
-        before = one(sampler, measured)
-        grow(leak, 50 * MEGABYTE)
-        assert one(sampler, measured).memory_bytes == before.memory_bytes
-
-
 def test_a_node_has_the_memory_and_the_descriptors_of_its_container() -> None:
     with running(GROWING) as container, running(GROWING) as node:
         grow(container, MEGABYTE)
@@ -171,3 +179,96 @@ def test_a_pid_with_a_new_owner_is_not_taken_for_the_old_one() -> None:
         start_time = read_stat(process.pid).start_time
         assert len(Sampler().sample([target(process.pid, start_time)], 1)) == 1
         assert Sampler().sample([target(process.pid, start_time - 1)], 1) == []
+
+
+def test_this_machine(tmp_path: Path) -> None:
+    machine = MachineSampler(tmp_path)
+    begin = psutil.cpu_times()
+    while psutil.cpu_times() == begin:
+        os.sched_yield()
+    sample = machine.sample(7)
+    assert sample.stamp_ns == 7
+    assert 0 <= sample.cpu_percent <= 100
+    assert len(sample.core_percent) == psutil.cpu_count()
+    assert all(0 <= core <= 100 for core in sample.core_percent)
+    assert len(sample.core_mhz) in (0, len(sample.core_percent))
+    assert sample.memory_total == psutil.virtual_memory().total
+    assert 0 < sample.memory_available < sample.memory_total
+    assert sample.shm_total == psutil.disk_usage("/dev/shm").total
+    assert 0 <= sample.shm_used <= sample.shm_total
+    assert 0 < sample.disk_free <= psutil.disk_usage(str(tmp_path)).total
+    assert min(sample.load_1, sample.load_5, sample.load_15) >= 0
+
+
+def test_a_core_that_is_offline_has_no_percentage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = "cpu  {0} 0 0 9 0 0 0 0\ncpu0 {0} 0 0 9 0 0 0 0\ncpu2 {0} 0 0 9 0 0 0 0\nintr 5 cpu"
+    real = Path.read_text
+    ticks = iter((9, 19))
+
+    def read(path: Path, encoding: str) -> str:
+        is_it = str(path) == "/proc/stat"
+        return text.format(next(ticks)) if is_it else real(path, encoding)
+
+    monkeypatch.setattr(Path, "read_text", read)
+    percent = MachineSampler(tmp_path).sample(2).core_percent
+    assert [math.isnan(one) for one in percent] == [False, True, False]
+    assert percent[0] == 100
+
+
+def test_times_of_cores() -> None:
+    text = "cpu  4 1 1 20 5 1 1 3 9 9\ncpu3 2 1 1 10 5 1 1 3 9 9\nintr 5 cpu"
+    assert core_times(text) == {-1: (8, 25, 3), 3: (6, 15, 3)}
+
+
+def view_of(*events: RunEvent) -> SystemView:
+    view = SystemView()
+    for event in events:
+        view = view.after(event)
+    return view
+
+
+def started(name: str, pid: int) -> ProcessEvent:
+    return ProcessEvent(
+        stamp_ns=1, kind=ProcessEventKind.STARTED, name=name, pid=pid, start_time=pid + 1000
+    )
+
+
+def box(mechanism: str) -> ContainerStateChanged:
+    return ContainerStateChanged(
+        stamp_ns=1, container="/box", state=ContainerState.RUNNING, mechanism=mechanism
+    )
+
+
+def node(state: NodeState, pid: int, name: str = "/talker") -> NodeStateChanged:
+    key = NodeKey("/box", name)
+    return NodeStateChanged(stamp_ns=1, key=key, state=state, pid=pid, start_time=pid + 1000)
+
+
+CONTAINER = Target(SubjectKind.CONTAINER, "/box", 7, 1007)
+
+
+def test_nodes_of_a_container_that_stops_are_not_taken_for_processes_of_their_own() -> None:
+    view = view_of(box("shared_memory"), started("/box", 7), node(NodeState.LOADED, 8))
+    stopping = ContainerStateChanged(
+        stamp_ns=1, container="/box", state=ContainerState.STOPPING, mechanism=""
+    )
+    assert targets(view.after(stopping)) == [CONTAINER]
+
+
+def test_a_crashed_node_has_no_process_though_its_pid_is_known() -> None:
+    view = view_of(box("shared_memory"), started("/box", 7), node(NodeState.CRASHED, 8))
+    assert targets(view) == [CONTAINER]
+
+
+@given(st.lists(EVENTS, max_size=30))
+def test_whatever_happened_memory_is_shared_with_a_container_that_is_measured_before(
+    events: list[RunEvent],
+) -> None:
+    measured: dict[int, Target] = {}
+    for target in targets(view_of(*events)):
+        assert target.pid
+        if target.memory_of:
+            assert measured[target.memory_of].kind is SubjectKind.CONTAINER
+        measured[target.pid] = target

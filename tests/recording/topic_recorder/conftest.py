@@ -23,5 +23,5 @@ def _loop_is_never_blocked() -> Iterator[None]:
         functions["socket.socket.recv"].can_block_in("process/guard.py", "_ask")
         functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_command_file")
         for name in ("os.stat", "os.access"):
-            functions[name].can_block_in("process/program.py", "check_program")
+            functions[name].can_block_in("process/guard.py", "check_program")
         yield

@@ -97,12 +97,13 @@ async def recording(
         lambda: CountingRecorder(BagWriter(path, definition=definition))
     )
     made = Recording(recorder, config)
-    task = asyncio.create_task(made.topics.run())
     try:
-        yield made
+        # A failure of it ends the test.
+        async with asyncio.TaskGroup() as tasks:
+            task = tasks.create_task(made.topics.run())
+            yield made
+            task.cancel()
     finally:
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
         made.summary = await asyncio.to_thread(made.recorder.close)
 
 

@@ -70,7 +70,7 @@ async def test_only_a_snapshot_writes_what_is_held(probe: Probe, tmp_path: Path)
         assert made.recorder.topic_messages == 0
         first = await made.topics.take("test")
         assert made.recorder.topic_messages == first.messages
-        # It was handed over: nothing is written twice.
+        # It was passed on: nothing is written twice.
         assert (await made.topics.take("test")).messages == 0
         await publish_all(held, [String(data="after")] * 3)
         await asyncio.sleep(0.1)

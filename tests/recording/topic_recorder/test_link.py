@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.recording.topic_recorder import link
+from play_launch.recording.topic_recorder.link import Kind
 
 
 @given(st.binary(max_size=100))
@@ -21,6 +22,6 @@ def test_nonsense_is_refused(data: bytes) -> None:
 
 
 def test_what_goes_the_other_way_is_refused() -> None:
-    for packet in (link.answer(1, 2), link.done(1), link.take(1), link.stop()):
+    for packet in (link.answer(1, 2), link.packet(Kind.DONE, 1), link.packet(Kind.STOP)):
         with pytest.raises(link.PacketError):
             link.decode(packet)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -160,15 +160,19 @@ async def test_each_life_of_a_node_is_asked(tmp_path: Path) -> None:
     assert lives == [1, 2]
 
 
-async def test_a_node_that_never_answers_holds_up_no_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let nodes take no longer than `SHORT_TIMEOUT` for their answers."""
     complete = supervision.recorder_argv
 
-    def hasty(*given: Any) -> tuple[str, ...]:
+    def argv(*given: Any) -> tuple[str, ...]:
         return (*complete(*given), "--answer-timeout", str(SHORT_TIMEOUT))
 
-    monkeypatch.setattr(supervision, "recorder_argv", hasty)
+    monkeypatch.setattr(supervision, "recorder_argv", argv)
+
+
+@pytest.mark.usefixtures("hasty")
+async def test_a_node_that_never_answers_holds_up_no_other(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     with node("deaf", {"a": 1}, spins=False), node("arm", {"a": 1}):
         async with recording(path, "{}") as made:
@@ -179,6 +183,24 @@ async def test_a_node_that_never_answers_holds_up_no_other(
     assert arm.error == ""
     nodes = (await asyncio.to_thread(known, path)).nodes
     assert nodes["/deaf"].error == deaf.error
+
+
+@pytest.mark.usefixtures("hasty")
+async def test_a_node_that_begins_to_answer_is_recorded_after_all(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    with node("late", {"a": 1}, spins=False) as late:
+        async with recording(path, "{}") as made:
+            await asked(made, 1)
+            executor = SingleThreadedExecutor(context=late.context)
+            executor.add_node(late)
+            while made.recorder.messages[PARAMETERS.name] < 2:
+                # Answering the requests that were given up is refused.
+                with suppress(RuntimeError, SystemError):
+                    await asyncio.to_thread(executor.spin_once, 0.1)
+            executor.shutdown()
+    failed, answered = answers(path, "/late")
+    assert (failed.error, answered.error) == ("it did not answer in time", "")
+    assert {"a"} < {each.name for each in answered.parameters}
 
 
 async def test_many_nodes_are_all_asked_once(tmp_path: Path) -> None:

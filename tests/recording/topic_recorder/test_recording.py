@@ -22,7 +22,7 @@ from std_msgs.msg import String
 from play_launch.container.ros import NotInstalledError
 from play_launch.recording.errors import SchemaNotFoundError
 from play_launch.recording.topic_recorder import SnapshotError, supervision
-from play_launch.recording.topic_recorder.link import stop
+from play_launch.recording.topic_recorder.link import Kind, packet
 from play_launch.recording.topics import message_definition
 from play_launch.ros.fastdds.shared_memory import sweep
 from tests.recording.reading import raw_messages, records
@@ -281,7 +281,7 @@ async def test_what_has_arrived_by_the_end_is_recorded(probe: Probe, tmp_path: P
         with held_up(made.pid):
             await publish_all(texts, strings(900))
             await acknowledged(texts)
-            made.topics._link.send(stop())
+            made.topics._link.send(packet(Kind.STOP))
     assert recorded(path, "/chatter") == strings(900)
 
 

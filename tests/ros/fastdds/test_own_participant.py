@@ -17,7 +17,7 @@ from play_launch.ros.fastdds.own_participant import as_our_own, decide
 from tests.support.loopback_network import permitted, wrapped
 from tests.support.replay import finished
 
-PATIENCE = 60.0
+TIMEOUT = 60.0
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 FASTDDS = "rmw_fastrtps_cpp"
@@ -53,14 +53,14 @@ def test_a_participant_of_ours_announces_itself_often(ros_domain: int) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         # Where the last of the 63 participants would listen (RTPS 2.2, 9.6.1.1).
         listener.bind(("127.0.0.1", 7400 + 250 * ros_domain + 10 + 2 * 62))
-        listener.settimeout(PATIENCE)
+        listener.settimeout(TIMEOUT)
         with subprocess.Popen([sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE) as program:
             try:
                 times = arrivals(listener, FIRST + 9)
             finally:
-                program.communicate(timeout=PATIENCE)
+                program.communicate(timeout=TIMEOUT)
     pauses = [late - early for early, late in zip(times[FIRST:], times[FIRST + 1 :], strict=False)]
-    assert statistics.median(pauses) < 1.0  # by itself it is 3 s
+    assert statistics.median(pauses) < 1.0  # its default is 3 s
 
 
 MEETING = """
@@ -107,7 +107,7 @@ def met(reach: str, *, taken: int = 0, network: bool = False) -> list[str]:
         check=True,
         stdout=subprocess.PIPE,
         text=True,
-        timeout=6 * PATIENCE,
+        timeout=6 * TIMEOUT,
         env=os.environ | {RANGE: reach},
     )
     return [line for line in done.stdout.splitlines() if line.startswith("met")]
@@ -129,7 +129,7 @@ for domain in (0, 232):
     ros.close()
 """
     environment = os.environ | {RANGE: "LOCALHOST"}
-    subprocess.run([sys.executable, "-c", program], check=True, env=environment, timeout=PATIENCE)
+    subprocess.run([sys.executable, "-c", program], check=True, env=environment, timeout=TIMEOUT)
 
 
 @pytest.mark.skipif(not permitted(), reason="this kernel permits no network namespace")

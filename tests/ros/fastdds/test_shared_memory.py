@@ -13,11 +13,14 @@ import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import psutil
 import pytest
 
+from play_launch.container.ros import spawn_guard
 from play_launch.process.child import Child, spawn
+from play_launch.process.guard import SessionGuard
 from play_launch.ros.fastdds.shared_memory import (
     SHARED_MEMORY,
     SweepReport,
@@ -26,6 +29,9 @@ from play_launch.ros.fastdds.shared_memory import (
 )
 from play_launch.supervisor.events import Stream
 from tests.process.programs import READY_THEN_SLEEP, Output, python
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 # Others would sweep what is to be swept here.
 pytestmark = [pytest.mark.anyio, pytest.mark.alone]
@@ -50,6 +56,13 @@ try:
 except BaseException:
     pass
 """
+
+
+@pytest.fixture
+def session() -> Iterator[SessionGuard]:
+    guarding = SessionGuard.start(spawn_guard())
+    yield guarding
+    guarding.close()
 
 
 def files() -> set[str]:
@@ -77,19 +90,17 @@ def held_by_others() -> set[str]:
     return held
 
 
-async def node(name: str) -> tuple[Child, Output]:
+async def node(session: SessionGuard, name: str) -> tuple[Child, Output]:
     output = Output()
-    # It must outlive no test, and no guard is needed for that: each test ends its own.
     child = await spawn(
-        [sys.executable, "-c", NODE, name], env=dict(os.environ), guard=None, on_output=output
+        [sys.executable, "-c", NODE, name], env=dict(os.environ), guard=session, on_output=output
     )
     return child, output
 
 
 async def end(child: Child, number: signal.Signals = signal.SIGKILL) -> None:
     child.signal_group(number)
-    async with asyncio.timeout(60):
-        await child.gone()
+    await child.gone()
 
 
 @pytest.fixture
@@ -99,9 +110,9 @@ def loose_names() -> tuple[str, str]:
     return f"fastrtps_{unique:016x}", f"fastrtps_port{60000 + os.getpid() % 5000}"
 
 
-async def test_the_dead_are_swept_and_the_living_go_on_talking() -> None:
-    alive, alive_hears = await node("alive")
-    dead, dead_hears = await node("dead")
+async def test_the_dead_are_swept_and_the_living_go_on_talking(session: SessionGuard) -> None:
+    alive, alive_hears = await node(session, "alive")
+    dead, dead_hears = await node(session, "dead")
     await alive_hears.wait_line("heard dead")
     await dead_hears.wait_line("heard alive")
     of_alive, of_dead = held_by(alive.pid), held_by(dead.pid)
@@ -117,7 +128,7 @@ async def test_the_dead_are_swept_and_the_living_go_on_talking() -> None:
     assert of_alive <= files()
     assert not report.failed
     # A new participant gets the port numbers of the dead one, which the living one still knows.
-    new, new_hears = await node("new")
+    new, new_hears = await node(session, "new")
     await new_hears.wait_line("heard alive")
     await alive_hears.wait_line("heard new")
     assert held_by(new.pid) & of_dead, "the case this is about: the same ports"
@@ -128,7 +139,7 @@ async def test_the_dead_are_swept_and_the_living_go_on_talking() -> None:
     assert not ((of_alive | of_dead) - held_by_others()) & files()
 
 
-async def test_nobody_who_comes_or_goes_is_disturbed() -> None:
+async def test_nobody_who_comes_or_goes_is_disturbed(session: SessionGuard) -> None:
     stop = threading.Event()
     reports: list[SweepReport] = []
 
@@ -138,7 +149,7 @@ async def test_nobody_who_comes_or_goes_is_disturbed() -> None:
 
     sweeping = asyncio.create_task(asyncio.to_thread(sweep_without_pause))
     names = [f"node{number}" for number in range(4)]
-    nodes = [await node(name) for name in names]
+    nodes = [await node(session, name) for name in names]
     try:
         for _, output in nodes:
             for name in names:
@@ -158,6 +169,7 @@ async def test_nobody_who_comes_or_goes_is_disturbed() -> None:
 
 
 async def test_a_port_without_a_lock_lives_while_somebody_maps_it(
+    session: SessionGuard,
     loose_names: tuple[str, str],
 ) -> None:
     _, port = loose_names
@@ -168,7 +180,7 @@ async def test_a_port_without_a_lock_lives_while_somebody_maps_it(
         f"import mmap; f = open({str(path)!r}, 'r+b'); m = mmap.mmap(f.fileno(), 0); f.close();"
         "print('ready', flush=True); import time; time.sleep(600)"
     )
-    child = await spawn(python(code), env={}, guard=None, on_output=output)
+    child = await spawn(python(code), env={}, guard=session, on_output=output)
     await output.wait_line("ready")
     assert port not in (await sweep_shared_memory()).removed
     assert path.exists()
@@ -227,19 +239,21 @@ time.sleep(600)
 """
 
 
-async def test_a_port_that_is_being_opened_is_left_alone(loose_names: tuple[str, str]) -> None:
+async def test_a_port_that_is_being_opened_is_left_alone(
+    session: SessionGuard, loose_names: tuple[str, str]
+) -> None:
     _, port = loose_names
     owned = {port, f"{port}_el", f"sem.{port}_mutex"}
     output = Output()
     opener = await spawn(
-        [*python(HOLD_SEMAPHORE), f"/{port}_mutex"], env={}, guard=None, on_output=output
+        [*python(HOLD_SEMAPHORE), f"/{port}_mutex"], env={}, guard=session, on_output=output
     )
     await output.wait_line("ready")
     for part in (port, f"{port}_el"):
         (SHARED_MEMORY / part).write_bytes(b"")
     await sweep_shared_memory()
     assert owned <= files()
-    # Killed in the middle of it: everybody who opens the port would wait for 20 s now. (Any other
+    # Killed in the middle of it: every opener of the port would wait for 20 s now. (Any other
     # session of the machine may remove it first.)
     await end(opener)
     await sweep_shared_memory()
@@ -247,14 +261,15 @@ async def test_a_port_that_is_being_opened_is_left_alone(loose_names: tuple[str,
 
 
 async def test_a_semaphore_that_is_left_alone_works_afterwards(
+    session: SessionGuard,
     loose_names: tuple[str, str],
 ) -> None:
     _, port = loose_names
     output = Output()
     code = HOLD_SEMAPHORE.replace("assert libc.sem_trywait(semaphore) == 0", "")
-    user = await spawn([*python(code), f"/{port}_mutex"], env={}, guard=None, on_output=output)
+    user = await spawn([*python(code), f"/{port}_mutex"], env={}, guard=session, on_output=output)
     await output.wait_line("ready")
-    # Free, but mapped: somebody is about to take it.
+    # Free, but mapped: another process is about to take it.
     await sweep_shared_memory()
     assert f"sem.{port}_mutex" in files()
     libc = ctypes.CDLL(None)
@@ -271,12 +286,12 @@ async def test_a_semaphore_that_is_left_alone_works_afterwards(
 
 
 async def test_a_process_that_cannot_be_looked_into_holds_nothing_up(
-    loose_names: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+    session: SessionGuard, loose_names: tuple[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its page tables are locked while it waits for a disk, as that of a dead NFS server."""
     _, port = loose_names
     output = Output()
-    stuck = await spawn(python(READY_THEN_SLEEP), env={}, guard=None, on_output=output)
+    stuck = await spawn(python(READY_THEN_SLEEP), env={}, guard=session, on_output=output)
     await output.wait_line("ready")
     goes_on, readers = threading.Event(), []
     read = Path.read_bytes
@@ -292,8 +307,7 @@ async def test_a_process_that_cannot_be_looked_into_holds_nothing_up(
     for part in (*owned, unsure):
         (SHARED_MEMORY / part).write_bytes(b"")
     try:
-        async with asyncio.timeout(60):
-            removed = [name for _ in range(3) for name in (await sweep_shared_memory()).removed]
+        removed = [name for _ in range(3) for name in (await sweep_shared_memory()).removed]
         assert not owned & files(), "its lock, which nothing holds, is proof enough"
         assert unsure not in removed, "the one that cannot be looked into may use it"
         assert len(readers) == 1

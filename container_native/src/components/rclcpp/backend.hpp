@@ -1,9 +1,7 @@
 #pragma once
 
 #include <memory>
-#include <optional>
 #include <string>
-#include <string_view>
 
 #include "components/component_backend.hpp"
 
@@ -15,7 +13,6 @@ class RclcppBackend final : public container::ComponentBackend {
   /// `context` is from initialise().
   explicit RclcppBackend(std::shared_ptr<Context> context);
 
-  std::string_view name() const override { return "rclcpp"; }
   std::shared_ptr<Context> context() override { return context_; }
   const container::ComponentIndex& index() const override { return index_; }
   std::unique_ptr<container::ComponentLibrary> open(const std::string& path) override;

@@ -12,7 +12,7 @@
 #include <rclcpp/utilities.hpp>
 #include <string>
 
-#include "overrides/rclcpp_context.hpp"
+#include "overrides/rclcpp_functions.hpp"
 
 namespace play_launch::rclcpp_backend {
 namespace {

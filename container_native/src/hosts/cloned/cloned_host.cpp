@@ -1,12 +1,19 @@
 #include "hosts/cloned/cloned_host.hpp"
 
+#include <linux/futex.h>
 #include <signal.h>
+#include <sys/syscall.h>
+#include <unistd.h>
 
 #include <algorithm>
+#include <ctime>
+#include <system_error>
 #include <utility>
 
+#include "base/failpoints.hpp"
 #include "base/process.hpp"
 #include "base/report.hpp"
+#include "base/scheduling.hpp"
 #include "base/unique_fd.hpp"
 #include "components/component_options.hpp"
 #include "isolation/crash/crash_handler.hpp"
@@ -31,9 +38,8 @@ std::shared_ptr<IsolatedNode> CloneIsolatedHost::start(std::uint64_t unique_id, 
   }
   auto domain = domains_ ? domains_->make(expected_full_name(request).value_or(request.plugin_name))
                          : nullptr;
-  return std::make_shared<ClonedNode>(unique_id, backends(), choice_, std::move(request),
-                                      std::move(resources), watch_urgency(), event_fd, lock_watch_,
-                                      core_dumps_, std::move(domain), domains_.get());
+  return std::make_shared<ClonedNode>(unique_id, *this, std::move(request), std::move(resources),
+                                      event_fd, std::move(domain));
 }
 
 namespace {
@@ -43,6 +49,14 @@ constexpr std::size_t kThreadNameLength = 15;
 /// without our knowing.
 constexpr std::chrono::seconds kSuspicious{2};
 constexpr const char* kEndedItself = "the node ended itself: it shut the ROS context down";
+
+/// For cleaning up after a dead node. Mostly of CPU time: a process that is killed while it waits
+/// for a processor may be amidst the middleware.
+constexpr std::chrono::milliseconds kCleanupCpuLimit{1000};
+constexpr std::chrono::milliseconds kCleanupLimit{3000};
+/// Until its death is reported, but no longer, the donor leaves the processor to those that report
+/// it: users wait for the report, not for the cleanup. The monitor may be busy with other nodes.
+constexpr std::chrono::nanoseconds kReportLimit = std::chrono::milliseconds(20);
 
 /// What `ps` shows: the node's name, or its class's as long as that is all there is.
 std::string process_name(const LoadRequest& request) {
@@ -63,22 +77,20 @@ std::string innermost(const std::vector<std::string>& backtrace) {
 
 }  // namespace
 
-ClonedNode::ClonedNode(std::uint64_t unique_id, const BackendList& backends,
-                       const ExecutorChoice& choice, LoadRequest request, NodeResources resources,
-                       const WatchUrgency& watch_urgency, int event_fd, LockWatch& lock_watch,
-                       bool core_dumps, std::unique_ptr<MemoryDomain> domain,
-                       const MemoryDomains* domains)
+ClonedNode::ClonedNode(std::uint64_t unique_id, CloneIsolatedHost& host, LoadRequest request,
+                       NodeResources resources, int event_fd, std::unique_ptr<MemoryDomain> domain)
     : IsolatedNode(unique_id, event_fd),
-      domains_(domains),
+      host_(host),
       domain_(std::move(domain)),
-      program_(backends, choice, std::move(request), event_fd),
-      donor_(unique_id, program_, process_name(program_.request()), lock_watch, core_dumps,
-             std::move(resources), watch_urgency, domain_.get()) {}
+      resources_(std::move(resources)),
+      program_(host.backends(), host.choice_, std::move(request), event_fd),
+      process_name_(process_name(program_.request())),
+      donor_(process_name_, [this] { live(); }, [this] { program_.reach(NodeLife::finished); }) {}
 
 NodeLife ClonedNode::look() {
   // Before all else: of what is dead by now nothing changes below.
   const NodeLife life = program_.life();
-  if (donor_.slot().traced) {
+  if (slot_.traced) {
     symbolise();  // while the process still dies
   }
   if (domain_ && !is_domain_named_ && has_any(life, NodeLife::spinning)) {
@@ -119,20 +131,15 @@ void ClonedNode::end_if_replaced() {
   if (program_.silence().value_or(now - *constructing_since_) < kSuspicious) {
     return;
   }
-  isolation::CrashSlot& slot = donor_.slot();
-  const std::optional<std::string> other = other_program_of(slot.pid);
+  const std::optional<std::string> other = other_program_of(slot_.pid);
   // The number may belong to another process by now.
-  if (other && identity_of(slot.pid).start_time == slot.start_time) {
+  if (other && identity_of(slot_.pid).start_time == slot_.start_time) {
     replaced_ = true;
     // The child does not write into the slot any more: the memory is not its own now.
-    const std::size_t length = std::min(other->size(), slot.report.other_program.size() - 1);
-    std::copy_n(other->data(), length, slot.report.other_program.data());
+    const std::size_t length = std::min(other->size(), slot_.report.other_program.size() - 1);
+    std::copy_n(other->data(), length, slot_.report.other_program.data());
     signal(SIGKILL);
   }
-}
-
-ProcessIdentity ClonedNode::process() const {
-  return {donor_.slot().pid, donor_.slot().start_time};
 }
 
 std::string ClonedNode::full_name() const {
@@ -143,11 +150,11 @@ std::string ClonedNode::why_it_left() const { return program_.ends_itself() ? kE
 
 /// While the other node is still there, or what is known of it.
 void ClonedNode::name_owner() {
-  isolation::CrashReport& report = donor_.slot().report;
-  if (domains_ == nullptr || report.protection_key == 0) {
+  isolation::CrashReport& report = slot_.report;
+  if (host_.domains_ == nullptr || report.protection_key == 0) {
     return;
   }
-  const std::string owner = domains_->owner_of(report.fault_address);
+  const std::string owner = host_.domains_->owner_of(report.fault_address);
   const std::size_t length = std::min(owner.size(), report.memory_owner.size() - 1);
   std::copy_n(owner.data(), length, report.memory_owner.data());
 }
@@ -156,46 +163,127 @@ void ClonedNode::symbolise() {
   if (!backtrace_) {
     name_owner();
     static isolation::LookUpTime time;  // of the monitor: the reports of all nodes come from it
-    backtrace_ =
-        isolation::symbolise(donor_.slot(), time.begin(isolation::LookUpTime::Clock::now()));
+    backtrace_ = isolation::symbolise(slot_, time.begin(isolation::LookUpTime::Clock::now()));
     time.end(isolation::LookUpTime::Clock::now());
   }
 }
 
 NodeDeath ClonedNode::death() {
   symbolise();
-  const isolation::CrashSlot& slot = donor_.slot();
-  const isolation::ChildEnd& end = donor_.end();
   const NodeLife life = program_.life();
   NodeDeath death;
-  death.exit_code = end.exit_code;
-  death.signal = end.signal;
-  death.reason = isolation::describe_end(end, slot);
+  death.exit_code = end_.exit_code;
+  death.signal = end_.signal;
+  death.reason = isolation::describe_end(end_, slot_);
   if (!has_any(life, NodeLife::spinning)) {
     death.reason = "died while it was constructed: " + death.reason + innermost(*backtrace_);
   }
   death.backtrace = std::move(*backtrace_);
-  death.modules = isolation::modules_of(slot);
-  if (slot.thread != 0) {
+  death.modules = isolation::modules_of(slot_);
+  if (slot_.thread != 0) {
     death.when =
-        std::chrono::steady_clock::time_point(std::chrono::nanoseconds(slot.report.crash_time_ns));
+        std::chrono::steady_clock::time_point(std::chrono::nanoseconds(slot_.report.crash_time_ns));
   }
-  const bool quiesced = slot.phase == isolation::ChildPhase::dying ||
+  const bool quiesced = slot_.phase == isolation::ChildPhase::dying ||
                         has_any(life, NodeLife::failed | NodeLife::left);
-  death.unquiesced = !quiesced || slot.report.inside || slot.report.threads_not_parked > 0;
+  death.unquiesced = !quiesced || slot_.report.inside || slot_.report.threads_not_parked > 0;
   return death;
 }
 
 bool ClonedNode::is_cleaned_up() {
-  const std::string remains = donor_.remains();
-  if (!remains.empty()) {
-    if (domain_) {
-      domain_->keep_memory();
-    }
-    report("could not clean up after " + label() + ": " + remains +
-           "; what it held stays until the container ends");
+  const bool is_destroyed = !program_.left_remains() || cleanup_end_.clean();
+  if (is_destroyed && gave_back_) {
+    return true;
   }
-  return remains.empty();
+  std::string why = "it died while it was being made or destroyed";
+  if (is_destroyed) {
+    why = "what the allocator keeps for its threads could not be given back";
+  } else if (cleanup_end_.error != 0) {
+    why = "cannot start a process for that: " + std::generic_category().message(cleanup_end_.error);
+  } else if (cleanup_end_.signal != 0) {
+    why = isolation::describe_end(cleanup_end_, cleanup_slot_);
+  }
+  if (domain_) {
+    domain_->keep_memory();
+  }
+  report("could not clean up after " + label() + ": " + why +
+         "; what it held stays until the container ends");
+  return false;
+}
+
+void ClonedNode::live() noexcept {
+  Urgency urgency;
+  do {  // it may be raised right now, by a faster thread
+    urgency = host_.watch_urgency();
+    assume(0, urgency);
+  } while (urgency != host_.watch_urgency().load());
+  if (!program_.prepare(unique_id())) {
+    program_.reach(NodeLife::ended);
+    return;
+  }
+  // From here on nothing may use the allocator: the child may leave it in any state.
+  isolation::ChildOptions options;
+  options.name = process_name_;
+  options.core_dumps = host_.core_dumps_;
+  options.urgency = resources_.urgency;
+  options.resources = resources_.settings;
+  options.group = &group_;
+  enter_domain(options);
+  options.dies_abruptly = hit(Failpoint::abrupt_deaths);
+  end_ = isolation::run_in_child(program_, slot_, options);
+  if (end_.pid == 0) {
+    program_.fail("cannot start a process for the node: " +
+                  std::generic_category().message(end_.error));
+    program_.reach(NodeLife::ended);
+    return;
+  }
+  const NodeLife how = ending(program_.life(), end_.clean());
+  if (how == NodeLife::died) {
+    host_.lock_watch_.begin();
+  }
+  program_.reach(how);
+  if (how == NodeLife::died) {
+    wait_for_report();
+  }
+  clean_up();
+}
+
+void ClonedNode::on_death_reported() {
+  reported_ = 1;
+  ::syscall(SYS_futex, &reported_, FUTEX_WAKE_PRIVATE, 1, nullptr, nullptr, 0);
+}
+
+void ClonedNode::wait_for_report() const noexcept {
+  static_assert(sizeof reported_ == sizeof(std::uint32_t));
+  const timespec limit{0, kReportLimit.count()};
+  if (reported_ == 0) {
+    ::syscall(SYS_futex, &reported_, FUTEX_WAIT_PRIVATE, 0, &limit, nullptr, 0);
+  }
+}
+
+void ClonedNode::enter_domain(isolation::ChildOptions& options) const noexcept {
+  if (domain_ != nullptr) {
+    options.key_rights = domain_->rights();
+    options.private_memory = &domain_->memory();
+  }
+}
+
+void ClonedNode::clean_up() noexcept {
+  gave_back_ = isolation::give_back_heaps(slot_);
+  if (!program_.left_remains()) {
+    return;
+  }
+  isolation::ChildOptions options;
+  options.name = "cleanup";
+  options.urgency = resources_.urgency;
+  options.time_limit = kCleanupLimit;
+  options.cpu_limit = kCleanupCpuLimit;
+  options.expendable = true;
+  if (domain_ != nullptr) {
+    domain_->memory().begin_cleanup();
+  }
+  enter_domain(options);
+  cleanup_end_ = isolation::run_in_child(cleanup_, cleanup_slot_, options);
 }
 
 }  // namespace play_launch::container

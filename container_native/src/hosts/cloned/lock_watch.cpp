@@ -50,17 +50,14 @@ void LockWatch::watch() noexcept {
   Clock::time_point last_look = last_death;
   Found before;
   while (true) {
-    const Clock::time_point now = Clock::now();
-    const auto left = std::chrono::ceil<std::chrono::milliseconds>(
-        last_look + look_interval(now - last_death) - now);
-    if (::poll(signalled.data(), signalled.size(), std::max(static_cast<int>(left.count()), 0)) >
-        0) {
+    const auto due = last_look + look_interval(Clock::now() - last_death);
+    if (::poll(signalled.data(), signalled.size(), poll_timeout(due)) > 0) {
       if (signalled[0].revents != 0) {
         return;
       }
       clear_eventfd(begun_.get());
       last_death = Clock::now();
-    } else if (left.count() <= 0) {
+    } else if (Clock::now() >= due) {
       last_look = Clock::now();
       Found found;
       found.count = search_.look(found.locks);

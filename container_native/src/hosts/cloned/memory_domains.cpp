@@ -11,19 +11,6 @@ namespace play_launch::container {
 
 using isolation::PrivateMemory;
 
-std::optional<DomainChoice> parse_domain_choice(std::string_view text) {
-  if (text == "off") {
-    return DomainChoice::off;
-  }
-  if (text == "auto") {
-    return DomainChoice::automatic;
-  }
-  if (text == "required") {
-    return DomainChoice::required;
-  }
-  return std::nullopt;
-}
-
 std::unique_ptr<MemoryDomain> MemoryDomains::make(const std::string& name) {
   const bool is_required = choice_ == DomainChoice::required;
   std::string problem = "no protection key is left";

@@ -3,9 +3,7 @@
 #include <cstdint>
 #include <memory>
 #include <mutex>
-#include <optional>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "isolation/memory/private_memory.hpp"
@@ -19,9 +17,6 @@ enum class DomainChoice {
   automatic,  // private memory is protected as far as this machine can
   required,   // a node whose memory could not be protected from all others is not loaded
 };
-
-/// "off", "auto" or "required"; else nothing.
-std::optional<DomainChoice> parse_domain_choice(std::string_view text);
 
 class MemoryDomain;
 

@@ -132,19 +132,13 @@ IsolatedHost::Time IsolatedHost::look_after(Nodes& nodes, Time end) {
 }
 
 void IsolatedHost::wait_until(Time deadline, const Nodes& nodes) const {
-  int timeout_ms = -1;
-  if (deadline != Time::max()) {
-    const auto left = std::chrono::ceil<std::chrono::milliseconds>(
-        std::max(deadline, Clock::now()) - Clock::now());
-    timeout_ms = static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, 1'000'000));
-  }
   std::vector<pollfd> fds{{event_fd_.get(), POLLIN, 0}};
   for (const auto& [unique_id, node] : nodes) {
     if (node != nullptr && node->watched_fd() >= 0) {
       fds.push_back({node->watched_fd(), POLLIN, 0});
     }
   }
-  if (::poll(fds.data(), fds.size(), timeout_ms) > 0 && fds[0].revents != 0) {
+  if (::poll(fds.data(), fds.size(), poll_timeout(deadline)) > 0 && fds[0].revents != 0) {
     clear_eventfd(event_fd_.get());
   }
 }

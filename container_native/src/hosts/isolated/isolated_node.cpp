@@ -80,15 +80,11 @@ void IsolatedNode::make(LifeCall call, NodeHostObserver& observer) {
     case LifeCall::load_failed:
       observer.on_load_failed(unique_id_, failure());
       break;
-    case LifeCall::load_crashed:
-      observer.on_load_crashed(unique_id_, death());
-      on_death_reported();
-      break;
     case LifeCall::gone:
       observer.on_gone(unique_id_, why_it_left());
       break;
-    case LifeCall::crashed:
-      observer.on_crashed(unique_id_, death());
+    case LifeCall::died:
+      observer.on_died(unique_id_, death());
       on_death_reported();
       break;
     case LifeCall::cleaned_up:

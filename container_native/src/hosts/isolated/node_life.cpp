@@ -14,15 +14,14 @@ struct Row {
 
 constexpr auto kNothing = NodeLife::preparing;
 
-/// In the order of the calls. Of the four in the middle exactly one holds when a life has ended or
+/// In the order of the calls. Of the three in the middle exactly one holds when a life has ended or
 /// died, as nothing but `finished` follows that.
 constexpr std::array kTable{
     Row{LifeCall::constructing, NodeLife::constructing, kNothing},
     Row{LifeCall::loaded, NodeLife::spinning, kNothing},
     Row{LifeCall::load_failed, NodeLife::ended | NodeLife::failed, kNothing},
     Row{LifeCall::gone, NodeLife::ended, NodeLife::failed},
-    Row{LifeCall::load_crashed, NodeLife::died, NodeLife::spinning},
-    Row{LifeCall::crashed, NodeLife::died | NodeLife::spinning, kNothing},
+    Row{LifeCall::died, NodeLife::died, kNothing},
     Row{LifeCall::cleaned_up, NodeLife::died | NodeLife::finished, kNothing},
 };
 

@@ -49,15 +49,7 @@ class LifeRecord {
 };
 
 /// The calls of NodeHostObserver.
-enum class LifeCall : std::uint8_t {
-  constructing,
-  loaded,
-  load_failed,
-  load_crashed,
-  gone,
-  crashed,
-  cleaned_up
-};
+enum class LifeCall : std::uint8_t { constructing, loaded, load_failed, gone, died, cleaned_up };
 
 /// Which calls are due for a life, given those that were made. However seldom one looks, the calls
 /// are the same.

@@ -3,60 +3,16 @@
 #include <pthread.h>
 #include <unistd.h>
 
+#include <chrono>
 #include <play_launch/detail/running_node.hpp>
 #include <string>
 #include <utility>
 
 #include "base/failpoints.hpp"
+#include "base/process.hpp"
 #include "components/component_options.hpp"
 
 namespace play_launch::container {
-
-TaskGroup::~TaskGroup() {
-  std::unique_lock lock(mutex_);
-  while (!running_.empty() || finished_.joinable()) {
-    std::thread next;
-    if (finished_.joinable()) {
-      next = std::move(finished_);
-    } else {
-      auto first = running_.begin();
-      next = std::move(first->second);
-      running_.erase(first);
-    }
-    lock.unlock();
-    next.join();
-    lock.lock();
-  }
-}
-
-void TaskGroup::run(const std::string& name, std::function<void()> task) {
-  // The lock is held until the thread is in the map, so that it cannot finish before that.
-  const std::lock_guard lock(mutex_);
-  const std::uint64_t number = ++last_number_;
-  std::thread thread([this, number, name, task = std::move(task)]() mutable {
-    ::pthread_setname_np(::pthread_self(), name.c_str());
-    task();
-    task = nullptr;  // what it holds is freed in this thread, before it counts as done
-    finish(number);
-  });
-  running_.emplace(number, std::move(thread));
-}
-
-void TaskGroup::finish(std::uint64_t number) {
-  std::thread before;
-  {
-    const std::lock_guard lock(mutex_);
-    auto self = running_.find(number);
-    if (self == running_.end()) {
-      return;  // the destructor joins this thread
-    }
-    before = std::exchange(finished_, std::move(self->second));
-    running_.erase(self);
-  }
-  if (before.joinable()) {
-    before.join();
-  }
-}
 
 SharedExecutorHost::SharedExecutorHost(BackendList backends, const ExecutorChoice& choice)
     : process_(identity_of(::getpid())), backends_(std::move(backends)) {
@@ -85,12 +41,24 @@ void SharedExecutorHost::load(std::uint64_t unique_id, LoadRequest request) {
     throw LoadError(
         "resources are for isolated nodes: the nodes of this container share a process");
   }
-  tasks_.run("load-" + std::to_string(unique_id),
-             [this, unique_id, request = std::move(request)] { construct(unique_id, request); });
+  run("load-" + std::to_string(unique_id),
+      [this, unique_id, request = std::move(request)] { construct(unique_id, request); });
 }
 
 void SharedExecutorHost::unload(std::uint64_t unique_id) {
-  tasks_.run("unload-" + std::to_string(unique_id), [this, unique_id] { destroy(unique_id); });
+  run("unload-" + std::to_string(unique_id), [this, unique_id] { destroy(unique_id); });
+}
+
+void SharedExecutorHost::run(const std::string& name, std::function<void()> task) {
+  const std::lock_guard lock(tasks_mutex_);
+  std::erase_if(tasks_, [](const std::future<void>& known) {
+    return known.wait_for(std::chrono::seconds(0)) == std::future_status::ready;
+  });
+  tasks_.push_back(std::async(std::launch::async, [name, task = std::move(task)]() noexcept {
+    ::pthread_setname_np(::pthread_self(), name.c_str());
+    grow_heap();
+    task();
+  }));
 }
 
 void SharedExecutorHost::stop_spinning() {

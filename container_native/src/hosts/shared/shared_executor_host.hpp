@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <future>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -13,31 +14,6 @@
 #include "hosts/node_host.hpp"
 
 namespace play_launch::container {
-
-/// Short-lived threads that are joined together at the end.
-///
-/// A finished thread is joined by the next one that finishes, so that at most one of them is left
-/// over however many have run.
-class TaskGroup {
- public:
-  TaskGroup() = default;
-  TaskGroup(const TaskGroup&) = delete;
-  TaskGroup& operator=(const TaskGroup&) = delete;
-  /// Waits for all tasks.
-  ~TaskGroup();
-
-  /// Runs `task` in a thread of its own, named `name` (at most 15 characters).
-  /// Throws std::system_error when there is no thread to be had; then `task` does not run.
-  void run(const std::string& name, std::function<void()> task);
-
- private:
-  void finish(std::uint64_t number);
-
-  std::mutex mutex_;
-  std::map<std::uint64_t, std::thread> running_;
-  std::thread finished_;
-  std::uint64_t last_number_ = 0;
-};
 
 /// All nodes live in this process and share one executor (one for each backend that is in use):
 /// the modes standard and mt. Each constructor, and each unloading, runs in a thread of its own.
@@ -66,6 +42,8 @@ class SharedExecutorHost final : public NodeHost {
     ComponentExecutor* executor = nullptr;
   };
 
+  /// Runs `task` in a thread of that name. Throws std::system_error when there is none to be had.
+  void run(const std::string& name, std::function<void()> task);
   void construct(std::uint64_t unique_id, const LoadRequest& request);
   void destroy(std::uint64_t unique_id);
 
@@ -73,9 +51,10 @@ class SharedExecutorHost final : public NodeHost {
   NodeHostObserver* observer_ = nullptr;
   const BackendList backends_;
   std::vector<Spinner> spinners_;  // of the backend with the same index
-  std::mutex mutex_;
+  std::mutex mutex_;               // guards what follows
   std::map<std::uint64_t, Node> nodes_;
-  TaskGroup tasks_;  // last: its threads use all of the above
+  std::mutex tasks_mutex_;
+  std::vector<std::future<void>> tasks_;  // last: their threads use all of the above
 };
 
 }  // namespace play_launch::container

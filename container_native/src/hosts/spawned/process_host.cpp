@@ -81,115 +81,6 @@ LoadRequest first_attempt(LoadRequest request) {
   return request;
 }
 
-std::string describe(const ProcessEnd& end) {
-  return end.signal != 0 ? isolation::signal_name(end.signal)
-                         : "exit status " + std::to_string(end.exit_code);
-}
-
-}  // namespace
-
-HostedNode::HostedNode(std::uint64_t unique_id, const std::vector<std::string>& arguments,
-                       LoadRequest request, int event_fd)
-    : IsolatedNode(unique_id, event_fd), request_(std::move(request)) {
-  auto [ours, theirs] = socket_pair();
-  process_.emplace(arguments, theirs);
-  channel_.emplace(std::move(ours));
-  channel_->send(FrameKind::load, control::encode(first_attempt(request_)));
-  life_.add(NodeLife::constructing);
-  channel_->start(*this);
-  channel_->open_gate();
-}
-
-HostedNode::~HostedNode() { channel_->stop(); }
-
-std::string HostedNode::full_name() const {
-  return has_any(life_.so_far(), NodeLife::spinning) ? full_name_ : "";
-}
-
-void HostedNode::ask_to_leave() {
-  msg::ControlShutdown shutdown;
-  shutdown.reason = "unloaded";
-  channel_->send(FrameKind::shutdown, control::encode(shutdown));
-}
-
-bool HostedNode::signal(int number) {
-  if (process_->is_reaped()) {
-    return false;
-  }
-  process_->signal(number);
-  return true;
-}
-
-void HostedNode::on_frame(const control::Frame& frame) {
-  if (frame.kind == static_cast<std::uint16_t>(FrameKind::rejected)) {
-    note(NodeLife::failed, failure_, control::decode<msg::ControlRejected>(frame.payload).reason);
-  }
-  if (frame.kind != static_cast<std::uint16_t>(FrameKind::event)) {
-    return;
-  }
-  const auto event = control::decode<msg::ComponentEvent>(frame.payload);
-  switch (event.event_type) {
-    case msg::ComponentEvent::LOADED:
-      note(NodeLife::spinning, full_name_, event.full_node_name);
-      break;
-    case msg::ComponentEvent::LOAD_FAILED:
-      note(NodeLife::failed, failure_, event.error_message);
-      break;
-    case msg::ComponentEvent::UNLOADED:
-      note(NodeLife::left, why_it_left_, event.error_message);
-      break;
-    default:
-      break;
-  }
-}
-
-void HostedNode::note(NodeLife part, std::string& text, const std::string& what) {
-  if (!has_any(life_.so_far(), part)) {
-    text = what;
-    life_.add(part);
-    notify_eventfd(event_fd());
-  }
-}
-
-void HostedNode::on_closed() {
-  closed_ = true;
-  notify_eventfd(event_fd());
-}
-
-void HostedNode::on_protocol_error(const std::string& what) {
-  report(label() + ": its process broke the control protocol: " + what);
-  on_closed();
-}
-
-NodeLife HostedNode::look() {
-  if (!process_->is_reaped() && process_->reap()) {
-    channel_->expect_no_more();
-  }
-  // What it wrote before its end is read before the end of the channel is.
-  const bool complete = process_->is_reaped() && closed_;
-  const NodeLife life = life_.so_far();
-  if (has_any(life, NodeLife::failed)) {
-    leave();
-  }
-  if (complete && !has_any(life, NodeLife::finished)) {
-    const ProcessEnd& end = process_->end();
-    const bool clean = end.signal == 0 && end.exit_code == 0;
-    // How a process ends that holds no node does not matter.
-    life_.add(ending(life, clean || has_any(life, NodeLife::failed)) | NodeLife::finished);
-  }
-  return life_.so_far();
-}
-
-NodeDeath HostedNode::death() {
-  NodeDeath death;
-  death.exit_code = process_->end().exit_code;
-  death.signal = process_->end().signal;
-  death.reason = describe(process_->end());
-  return death;
-}
-
-namespace {
-
 constexpr const char* kProgram = "/proc/self/exe";
 /// waitid() by descriptor, for C libraries that lack the name.
 constexpr auto kByDescriptor = static_cast<idtype_t>(3);
@@ -250,10 +141,8 @@ std::vector<char*> pointers(std::vector<std::string>& texts) {
   return result;
 }
 
-}  // namespace
-
-HostedProcess::HostedProcess(const std::vector<std::string>& arguments,
-                             const UniqueFd& control_socket) {
+/// Starts this very program with these arguments, and `control_socket` as its control channel.
+pid_t start_process(const std::vector<std::string>& arguments, const UniqueFd& control_socket) {
   std::vector<std::string> argv{"component_container"};
   argv.insert(argv.end(), arguments.begin(), arguments.end());
   std::vector<std::string> variables = environment(control_socket.get());
@@ -264,39 +153,133 @@ HostedProcess::HostedProcess(const std::vector<std::string>& arguments,
       error != 0) {
     fail(error, "posix_spawn");
   }
-  fd_.reset(static_cast<int>(::syscall(SYS_pidfd_open, pid, 0)));
-  if (!fd_) {
+  return pid;
+}
+
+}  // namespace
+
+HostedNode::HostedNode(std::uint64_t unique_id, const std::vector<std::string>& arguments,
+                       LoadRequest request, int event_fd)
+    : IsolatedNode(unique_id, event_fd), request_(std::move(request)) {
+  auto [ours, theirs] = socket_pair();
+  channel_.emplace(std::move(ours));
+  channel_->send(FrameKind::load, control::encode(first_attempt(request_)));
+  channel_->start(*this);
+  const pid_t pid = start_process(arguments, theirs);
+  process_fd_.reset(static_cast<int>(::syscall(SYS_pidfd_open, pid, 0)));
+  if (!process_fd_) {
     const int error = errno;
     ::kill(pid, SIGKILL);  // it is not reaped, so the pid is still its own
     ::waitpid(pid, nullptr, 0);
     fail(error, "pidfd_open");
   }
-  identity_ = identity_of(pid);
+  process_ = identity_of(pid);
+  life_.add(NodeLife::constructing);
+  channel_->open_gate();
 }
 
-HostedProcess::~HostedProcess() {
-  if (!reaped_) {
+HostedNode::~HostedNode() {
+  channel_->stop();
+  if (!is_reaped_) {
     signal(SIGKILL);
-    siginfo_t info{};
-    ::waitid(kByDescriptor, static_cast<id_t>(fd_.get()), &info, WEXITED);
+    reap(0);
   }
 }
 
-void HostedProcess::signal(int number) const {
-  ::syscall(SYS_pidfd_send_signal, fd_.get(), number, nullptr, 0);
+std::string HostedNode::full_name() const {
+  return has_any(life_.so_far(), NodeLife::spinning) ? full_name_ : "";
 }
 
-bool HostedProcess::reap() {
+void HostedNode::ask_to_leave() {
+  msg::ControlShutdown shutdown;
+  shutdown.reason = "unloaded";
+  channel_->send(FrameKind::shutdown, control::encode(shutdown));
+}
+
+bool HostedNode::signal(int number) {
+  return !is_reaped_ &&
+         ::syscall(SYS_pidfd_send_signal, process_fd_.get(), number, nullptr, 0) == 0;
+}
+
+/// `options` of waitid(): WNOHANG, or 0 to wait for its death.
+void HostedNode::reap(int options) {
   siginfo_t info{};
   const NotRealTime reaping;
-  if (reaped_ ||
-      ::waitid(kByDescriptor, static_cast<id_t>(fd_.get()), &info, WEXITED | WNOHANG) != 0 ||
+  if (::waitid(kByDescriptor, static_cast<id_t>(process_fd_.get()), &info, WEXITED | options) !=
+          0 ||
       info.si_pid == 0) {
-    return reaped_;
+    return;
   }
-  reaped_ = true;
-  (info.si_code == CLD_EXITED ? end_.exit_code : end_.signal) = info.si_status;
-  return true;
+  is_reaped_ = true;
+  if (info.si_code == CLD_EXITED) {
+    death_.exit_code = info.si_status;
+    death_.reason = "exit status " + std::to_string(info.si_status);
+  } else {
+    death_.signal = info.si_status;
+    death_.reason = isolation::signal_name(info.si_status);
+  }
+}
+
+void HostedNode::on_frame(const control::Frame& frame) {
+  if (frame.kind == static_cast<std::uint16_t>(FrameKind::rejected)) {
+    note(NodeLife::failed, failure_, control::decode<msg::ControlRejected>(frame.payload).reason);
+  }
+  if (frame.kind != static_cast<std::uint16_t>(FrameKind::event)) {
+    return;
+  }
+  const auto event = control::decode<msg::ComponentEvent>(frame.payload);
+  switch (event.event_type) {
+    case msg::ComponentEvent::LOADED:
+      note(NodeLife::spinning, full_name_, event.full_node_name);
+      break;
+    case msg::ComponentEvent::LOAD_FAILED:
+      note(NodeLife::failed, failure_, event.error_message);
+      break;
+    case msg::ComponentEvent::UNLOADED:
+      note(NodeLife::left, why_it_left_, event.error_message);
+      break;
+    default:
+      break;
+  }
+}
+
+void HostedNode::note(NodeLife part, std::string& text, const std::string& what) {
+  if (!has_any(life_.so_far(), part)) {
+    text = what;
+    life_.add(part);
+    notify_eventfd(event_fd());
+  }
+}
+
+void HostedNode::on_closed() {
+  closed_ = true;
+  notify_eventfd(event_fd());
+}
+
+void HostedNode::on_protocol_error(const std::string& what) {
+  report(label() + ": its process broke the control protocol: " + what);
+  on_closed();
+}
+
+NodeLife HostedNode::look() {
+  if (!is_reaped_) {
+    reap(WNOHANG);
+    if (is_reaped_) {
+      channel_->expect_no_more();
+    }
+  }
+  // What it wrote before its end is read before the end of the channel is.
+  const bool complete = is_reaped_ && closed_;
+  const NodeLife life = life_.so_far();
+  if (has_any(life, NodeLife::failed)) {
+    leave();
+  }
+  if (complete && !has_any(life, NodeLife::finished)) {
+    const bool clean = death_.signal == 0 && death_.exit_code == 0;
+    // How a process ends that holds no node does not matter.
+    life_.add(ending(life, clean || has_any(life, NodeLife::failed)) | NodeLife::finished);
+  }
+  return life_.so_far();
 }
 
 }  // namespace play_launch::container

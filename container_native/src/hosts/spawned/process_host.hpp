@@ -15,42 +15,6 @@
 
 namespace play_launch::container {
 
-/// How a child process ended.
-struct ProcessEnd {
-  int exit_code = 0;
-  int signal = 0;  // 0: it exited
-};
-
-/// A container of one node that this container started, as a process. It exits when the
-/// other end of its control channel is closed, so with this container at the latest.
-class HostedProcess {
- public:
-  /// Starts this very program with these arguments, and `control_socket` as its control channel.
-  /// Throws std::system_error.
-  HostedProcess(const std::vector<std::string>& arguments, const UniqueFd& control_socket);
-  HostedProcess(const HostedProcess&) = delete;
-  HostedProcess& operator=(const HostedProcess&) = delete;
-  /// Kills and reaps it, if it was not reaped.
-  ~HostedProcess();
-
-  const ProcessIdentity& identity() const { return identity_; }
-  /// Readable when it is dead.
-  int fd() const { return fd_.get(); }
-  void signal(int number) const;
-
-  /// Reaps it if it is dead; true then, and from then on.
-  bool reap();
-  bool is_reaped() const { return reaped_; }
-  /// Valid when it was reaped.
-  const ProcessEnd& end() const { return end_; }
-
- private:
-  ProcessIdentity identity_;
-  UniqueFd fd_;
-  bool reaped_ = false;
-  ProcessEnd end_;
-};
-
 /// With processes that have memory of their own: the mechanism process. Each is this program once
 /// more, as a container of one node; messages between nodes go through the middleware.
 class ProcessHost final : public IsolatedHost {
@@ -69,7 +33,8 @@ class ProcessHost final : public IsolatedHost {
 };
 
 /// A node in a container of its own, which this one started and talks to on the control channel as
-/// a supervisor does.
+/// a supervisor does. Its process exits when the other end of the channel is closed, so with this
+/// container at the latest.
 class HostedNode final : public IsolatedNode, private control::ChannelHandler {
  public:
   /// Starts the process, with `arguments`, and sends it the request. Throws std::exception.
@@ -77,16 +42,16 @@ class HostedNode final : public IsolatedNode, private control::ChannelHandler {
              LoadRequest request, int event_fd);
   ~HostedNode() override;
 
-  int watched_fd() const override { return process_->is_reaped() ? -1 : process_->fd(); }
+  int watched_fd() const override { return is_reaped_ ? -1 : process_fd_.get(); }
 
  private:
   NodeLife look() override;
   const LoadRequest& request() const override { return request_; }
-  ProcessIdentity process() const override { return process_->identity(); }
+  ProcessIdentity process() const override { return process_; }
   std::string full_name() const override;
   std::string failure() const override { return failure_; }
   std::string why_it_left() const override { return why_it_left_; }
-  NodeDeath death() override;
+  NodeDeath death() override { return death_; }
   bool is_cleaned_up() override { return true; }  // by the kernel
   void ask_to_leave() override;
   bool signal(int number) override;
@@ -96,10 +61,13 @@ class HostedNode final : public IsolatedNode, private control::ChannelHandler {
   void on_protocol_error(const std::string& what) override;
 
   void note(NodeLife part, std::string& text, const std::string& what);
+  void reap(int options);
 
   const LoadRequest request_;
-  std::optional<HostedProcess> process_;
-  std::optional<control::Channel> channel_;
+  ProcessIdentity process_;
+  UniqueFd process_fd_;  // readable when it is dead
+  bool is_reaped_ = false;
+  NodeDeath death_;  // when it is reaped
 
   // Written by the thread that reads the channel, once each, before the life has the part.
   std::string full_name_;    // NodeLife::spinning
@@ -107,6 +75,8 @@ class HostedNode final : public IsolatedNode, private control::ChannelHandler {
   std::string why_it_left_;  // NodeLife::left
   LifeRecord life_;
   std::atomic<bool> closed_{false};  // everything that it wrote is read
+
+  std::optional<control::Channel> channel_;  // last: its thread uses all of the above
 };
 
 }  // namespace play_launch::container

@@ -10,6 +10,7 @@
 #include <array>
 #include <cerrno>
 #include <chrono>
+#include <memory>
 
 #include "base/process.hpp"
 #include "isolation/clone/vm_clone.hpp"
@@ -25,7 +26,6 @@ namespace {
 
 struct Launch {
   ChildRecord& record;
-  Registration& registration;
   AlternateStack& alternate_stack;
   std::array<char, 16> name{};
   pid_t container;
@@ -108,6 +108,7 @@ int run_program(void* argument) {
   quiesce(record);
   block_all_signals();
   const int stop_signal = record.slot->stop_signal;
+  record.slot->died_of = stop_signal;
   return stop_signal != 0 ? -stop_signal : status & kExitStatusMask;
 }
 
@@ -134,21 +135,9 @@ void before_reaping(void* argument) noexcept {
 
 }  // namespace
 
-void CrashSlot::reset() {
-  pid = 0;
-  start_time = 0;
-  alive = false;
-  phase = ChildPhase::none;
-  stop_signal = 0;
-  stop_sender = 0;
-  thread = 0;
-  traced = false;
-  report = {};
-}
-
 ChildEnd run_in_child(ChildProgram& program, CrashSlot& slot,
                       const ChildOptions& options) noexcept {
-  slot.reset();
+  std::construct_at(&slot);
   ChildEnd end;
   ChildRecord record;
   record.program = &program;
@@ -156,19 +145,23 @@ ChildEnd run_in_child(ChildProgram& program, CrashSlot& slot,
   record.options = options;
   record.after_death = donor_is_tainted();
   record.first_thread = ::pthread_self();
-  Registration registration(record);
+  const Registration registration(record);
   AlternateStack alternate_stack;
   if (!registration || !alternate_stack) {
     end.error = registration ? ENOMEM : EAGAIN;
     return end;
   }
-  Launch launch{record, registration, alternate_stack, {}, ::getpid()};
+  Launch launch{record, alternate_stack, {}, ::getpid()};
   std::copy_n(options.name.data(), std::min(options.name.size(), launch.name.size() - 1),
               launch.name.data());
   if (options.group != nullptr) {
     launch.birth.group = options.group->get();
   }
-  return clone_and_wait(run_program, &launch, before_reaping, &launch.birth);
+  end = clone_and_wait(run_program, &launch, before_reaping, &launch.birth);
+  if (end.signal == SIGKILL && slot.died_of != 0) {
+    end.signal = slot.died_of;
+  }
+  return end;
 }
 
 bool send_signal(CrashSlot& slot, int signal) noexcept {

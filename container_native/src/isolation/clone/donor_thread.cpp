@@ -103,13 +103,12 @@ int give_back_memory(void*) {
 }  // namespace
 
 DonorThread::DonorThread(const std::string& name, std::function<void()> body,
-                         std::function<void()> ended, std::size_t stack_size)
+                         std::function<void()> ended)
     : body_(std::move(body)), ended_(std::move(ended)), name_(name.substr(0, 15)) {
   prepare_clone();
   // A stack of our own, because it also holds the thread's record in the C library: that of a
   // tainted thread must not be used for another one.
-  const std::size_t usable = stack_size != 0 ? stack_size : default_stack_size();
-  mapping_size_ = kGuardSize + (usable + kGuardSize - 1) / kGuardSize * kGuardSize;
+  mapping_size_ = kGuardSize + (default_stack_size() + kGuardSize - 1) / kGuardSize * kGuardSize;
   mapping_ = ::mmap(nullptr, mapping_size_, PROT_NONE,
                     MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_STACK, -1, 0);
   if (mapping_ == MAP_FAILED) {

@@ -23,12 +23,11 @@ namespace play_launch::isolation {
 /// thread; if that fails, the memory is lost.
 class DonorThread {
  public:
-  /// Starts the thread. `name` as for ChildOptions; `stack_size` in bytes is what the child has in
-  /// its first thread, 0 = as other threads (RLIMIT_STACK, else 8 MiB). `ended` is called on the
-  /// thread when nothing is left that takes time: join() returns soon then. Neither must throw, and
-  /// what holds for the body after a child holds for `ended`. Throws std::system_error.
+  /// Starts the thread. `name` as for ChildOptions. `ended` is called on the thread when nothing is
+  /// left that takes time: join() returns soon then. Neither must throw, and what holds for the
+  /// body after a child holds for `ended`. Throws std::system_error.
   DonorThread(const std::string& name, std::function<void()> body,
-              std::function<void()> ended = nullptr, std::size_t stack_size = 0);
+              std::function<void()> ended = nullptr);
   DonorThread(const DonorThread&) = delete;
   DonorThread& operator=(const DonorThread&) = delete;
   /// Joins.

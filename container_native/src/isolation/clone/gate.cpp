@@ -21,6 +21,7 @@
 #include "base/unique_fd.hpp"
 #include "isolation/clone/vm_clone.hpp"
 #include "isolation/quiesce/code_map.hpp"
+#include "isolation/record/own_signals.hpp"
 
 namespace play_launch::isolation {
 namespace {
@@ -68,8 +69,7 @@ bool hear(int fd, int& result, Clock::time_point end) noexcept {
   pollfd readable{fd, POLLIN, 0};
   int count = 0;
   do {
-    const auto left = std::chrono::ceil<std::chrono::milliseconds>(end - Clock::now());
-    count = ::poll(&readable, 1, std::max(static_cast<int>(left.count()), 0));
+    count = ::poll(&readable, 1, poll_timeout(end));
   } while (count < 0 && errno == EINTR);
   return count > 0 && ::read(fd, &result, sizeof result) == sizeof result;
 }
@@ -101,9 +101,8 @@ bool reap(pid_t pid) noexcept {
   return false;
 }
 
-}  // namespace
-
-Probe probe_machine() noexcept {
+/// Forks that process, and waits for it: milliseconds, at most seconds. No core is written.
+Probe try_in_process() noexcept {
   Probe probe;
   int ends[2] = {-1, -1};
   int start[2] = {-1, -1};
@@ -141,7 +140,21 @@ Probe probe_machine() noexcept {
   return probe;
 }
 
-namespace {
+/// prepare_clone() must have been called. Any thread, but not in a child.
+Probe probe_machine() noexcept {
+  const Probe probe = try_in_process();
+  if (!probe.shares_memory || probe.survives_crash) {
+    return probe;
+  }
+  end_children_by_kill(true);
+  Probe again = try_in_process();
+  if (!again.survives_crash) {
+    end_children_by_kill(false);
+    return probe;
+  }
+  again.ends_by_kill = true;
+  return again;
+}
 
 bool exists(const char* symbol) { return ::dlsym(RTLD_DEFAULT, symbol) != nullptr; }
 
@@ -178,7 +191,7 @@ std::string why_not(const Facts& facts) {
   }
   if (!facts.probe.survives_crash) {
     return "with Linux " + facts.kernel_release +
-           " a crash ends every process that shares the memory (since 5.16 it does not)";
+           " a crash ends every process that shares the memory";
   }
   return {};
 }
@@ -194,19 +207,6 @@ Gate with_processes(const Facts& facts) {
 }
 
 }  // namespace
-
-std::optional<MechanismChoice> parse_mechanism_choice(std::string_view text) {
-  if (text == "auto") {
-    return MechanismChoice::automatic;
-  }
-  if (text == "shared_memory") {
-    return MechanismChoice::shared_memory;
-  }
-  if (text == "process") {
-    return MechanismChoice::process;
-  }
-  return std::nullopt;
-}
 
 std::string_view mechanism_name(Mechanism mechanism) {
   return mechanism == Mechanism::shared_memory ? "shared_memory" : "process";
@@ -245,6 +245,13 @@ Gate choose_mechanism(MechanismChoice choice, const Facts& facts) {
   }
   Gate gate;
   gate.mechanism = Mechanism::shared_memory;
+  if (facts.probe.ends_by_kill) {
+    gate.limit =
+        "with Linux " + facts.kernel_release +
+        " a core dump ends every process that shares the memory (since 5.16 it does not): nodes "
+        "that crash end by SIGKILL and leave no core, and one that blocks a fatal signal or gives "
+        "it its default action takes the container along";
+  }
   if (facts.probe.syscall_error != 0) {
     gate.notes.push_back(
         std::string("what threads of nodes wait for cannot be read here "

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <optional>
 #include <stdexcept>
 #include <string>
 #include <string_view>
@@ -14,19 +13,16 @@ struct Probe {
   bool shares_memory = false;
   /// errno, when it could not even make one; else 0.
   int clone_error = 0;
-  /// It lived on when such a child died of a signal that dumps core. Linux before 5.16 ends all
-  /// processes that share the memory then.
+  /// It lived on when such a child died of a signal that dumps core.
   bool survives_crash = false;
   /// It could be waited for by a descriptor (pidfd_open, Linux 5.4).
   bool waits_by_descriptor = false;
   /// 0, or the errno of reading what it sleeps in, which DeadLockSearch needs of every node:
   /// /proc/<pid>/task/<tid>/syscall.
   int syscall_error = 0;
+  /// It lived on only when that child ended by SIGKILL instead, see end_children_by_kill().
+  bool ends_by_kill = false;
 };
-
-/// Forks that process, and waits for it: milliseconds, at most seconds. No core is written.
-/// prepare_clone() must have been called. Any thread, but not in a child.
-Probe probe_machine() noexcept;
 
 /// How nodes are kept in processes of their own.
 enum class Mechanism {
@@ -37,8 +33,6 @@ enum class Mechanism {
 /// What was asked for on the command line.
 enum class MechanismChoice { automatic, shared_memory, process };
 
-/// "auto", "shared_memory" or "process"; else nothing.
-std::optional<MechanismChoice> parse_mechanism_choice(std::string_view text);
 /// "shared_memory" or "process".
 std::string_view mechanism_name(Mechanism mechanism);
 
@@ -52,6 +46,8 @@ struct Gate {
   Mechanism mechanism = Mechanism::process;
   /// One line each: what this machine lacks, what happens instead, and how to change it.
   std::vector<std::string> notes;
+  /// What holds here and cannot be changed; empty: nothing.
+  std::string limit;
 };
 
 /// What is known about the machine; apart from the decision so that this can be tested.

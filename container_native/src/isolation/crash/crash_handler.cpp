@@ -4,10 +4,8 @@
 #include <pthread.h>
 #include <signal.h>
 #include <sys/prctl.h>
-#include <sys/syscall.h>
 #include <sys/uio.h>
 #include <time.h>
-#include <ucontext.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -59,22 +57,6 @@ std::uint64_t time_ns(clockid_t clock) noexcept {
   ::clock_gettime(clock, &time);
   return static_cast<std::uint64_t>(time.tv_sec) * kPerSecond +
          static_cast<std::uint64_t>(time.tv_nsec);
-}
-
-void set_default(int signal) noexcept {
-  struct sigaction action{};
-  action.sa_handler = SIG_DFL;
-  ::sigaction(signal, &action, nullptr);
-}
-
-/// From a handler: the process dies of the signal when the handler returns, in the interrupted
-/// place and with the interrupted registers, so that a core shows the fault and not the handler.
-void die_in_place(int signal, siginfo_t& info, void* context) noexcept {
-  set_default(signal);
-  // Again as it came, instead of leaving it to the instruction to fault again: blocked while the
-  // handler runs, it waits for the return.
-  ::syscall(SYS_rt_tgsigqueueinfo, ::getpid(), ::gettid(), signal, &info);
-  sigdelset(&static_cast<ucontext_t*>(context)->uc_sigmask, signal);
 }
 
 bool was_sent(const siginfo_t& info) noexcept { return info.si_code <= 0; }
@@ -228,6 +210,10 @@ extern "C" void on_crash_signal(int signal, siginfo_t* info, void* context) {
     const SelfSignal limit(kHandlerLimit + child->options.quiesce_limit * kQuiesceLimits, SIGKILL);
     // Whatever else goes wrong, the process dies of this signal.
     survive([&] { crash(*child, signal, *info, context); });
+    child->slot->died_of = signal;
+    if (children_end_by_kill()) {
+      die_of(signal);
+    }
     die_in_place(signal, *info, context);
   } else {
     leave(*child, signal, *info);

@@ -9,7 +9,7 @@
 namespace play_launch::isolation {
 
 /// Once, in the container, before the first child and the first library of a node: notes what is
-/// loaded by then, see note_early_code(), loads what handlers use and cannot load, and sets a
+/// loaded by then, see prepare_code_map(), loads what handlers use and cannot load, and sets a
 /// terminate handler that notes in a child's slot which exception it was.
 void prepare_crash_handling();
 

@@ -230,14 +230,15 @@ std::vector<std::string> modules_of(const CrashSlot& slot) {
   const SurvivalOfReports survival;
   std::vector<const link_map*> seen;
   for (std::size_t i = slot.report.thrower; i < slot.report.frame_count; ++i) {
-    const link_map* const library = library_at(slot.report.frames[i] - (i > 0 ? 1 : 0));
+    const std::uintptr_t code = slot.report.frames[i] - (i > 0 ? 1 : 0);
+    const link_map* const library = library_at(code);
     if (library == nullptr || std::ranges::find(seen, library) != seen.end()) {
       continue;
     }
     seen.push_back(library);
     const std::string path = path_of(*library);
     std::string id;
-    survive([&] { id = build_id_of(*library); });
+    survive([&] { id = build_id_of(*library, code); });
     lines.push_back(base_name(path) + " " + (id.empty() ? "-" : id) + " " + path);
   }
   return lines;

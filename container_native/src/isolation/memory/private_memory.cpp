@@ -4,10 +4,9 @@
 #include <sys/resource.h>
 
 #include <algorithm>
-#include <array>
-#include <atomic>
-#include <limits>
+#include <bit>
 #include <new>
+#include <utility>
 
 #include "isolation/record/child_record.hpp"
 
@@ -23,35 +22,14 @@ constexpr std::size_t kStep = std::size_t{1} << 20;
 /// Larger pieces are blocks of their own.
 constexpr std::size_t kLargestPooled = kUnit / 4;
 
-/// Where some is mapped, for threads that may not read it. More of them are not listed.
-struct Place {
-  std::atomic<std::uintptr_t> begin{0};  // 0: nothing
-  std::atomic<std::uintptr_t> end{0};
-};
-std::array<Place, kMaxChildren> places;
-
-void enlist(std::uintptr_t begin, std::size_t size) noexcept {
-  for (Place& place : places) {
-    std::uintptr_t nothing = 0;
-    if (place.begin.compare_exchange_strong(nothing, begin)) {
-      place.end = begin + size;
-      return;
-    }
-  }
-}
-
-void strike_off(std::uintptr_t begin) noexcept {
-  for (Place& place : places) {
-    if (place.begin == begin) {
-      place.end = 0;
-      place.begin = 0;
-      return;
-    }
-  }
-}
-
 constexpr std::size_t round_up(std::size_t size, std::size_t step) noexcept {
   return (size + step - 1) / step * step;
+}
+
+/// Bytes of the block for a piece. More than there can be stay what they are.
+std::size_t block_for(std::size_t size, std::size_t alignment) noexcept {
+  const std::size_t least = std::max({size, alignment, kUnit});
+  return least <= PrivateMemory::kReserve ? std::bit_ceil(least) : least;
 }
 
 /// Where addresses are limited (ulimit -v), each node takes a small part: stacks and the allocator
@@ -96,27 +74,21 @@ PrivateMemory::Owner PrivateMemory::create(int key, std::size_t reserve) noexcep
     if (begin == nullptr) {
       continue;
     }
-    const std::size_t units_at = round_up(sizeof(PrivateMemory), alignof(Buddies::Unit));
-    const std::size_t own = units_at + size / kUnit * sizeof(Buddies::Unit);
-    const std::size_t ready = std::min(round_up(own, kStep), size);
+    const std::size_t ready = round_up(sizeof(PrivateMemory), kStep);
     if (protect_pages(begin, ready, key) == 0) {
-      auto* const units = reinterpret_cast<Buddies::Unit*>(begin + units_at);
-      enlist(reinterpret_cast<std::uintptr_t>(begin), size);
-      return Owner(new (begin) PrivateMemory(size, ready, units, key));
+      return Owner(new (begin) PrivateMemory(size, ready, key));
     }
     ::munmap(begin, size);
   }
   return nullptr;
 }
 
-PrivateMemory::PrivateMemory(std::size_t size, std::size_t ready, Buddies::Unit* units,
-                             int key) noexcept
+PrivateMemory::PrivateMemory(std::size_t size, std::size_t ready, int key) noexcept
     : size_(size),
-      blocks_(begin(), size, ready, units, key),
+      blocks_(begin(), size, ready, key),
       pool_({.max_blocks_per_chunk = 0, .largest_required_pool_block = kLargestPooled}, &blocks_) {}
 
 void PrivateMemory::Release::operator()(PrivateMemory* memory) const noexcept {
-  strike_off(reinterpret_cast<std::uintptr_t>(memory));
   // Not destroyed: it holds nothing but what is in it.
   ::munmap(memory->begin(), memory->size_);
 }
@@ -128,7 +100,6 @@ void PrivateMemory::begin_cleanup() noexcept {
 
 void PrivateMemory::keep(Owner memory) noexcept {
   protect_pages(memory->begin(), memory->blocks_.ready(), kCommonKey);
-  strike_off(reinterpret_cast<std::uintptr_t>(memory.get()));
   static_cast<void>(memory.release());
 }
 
@@ -155,43 +126,37 @@ void PrivateMemory::do_deallocate(void* place, std::size_t size, std::size_t ali
   pool_.deallocate(place, size, alignment);
 }
 
-PrivateMemory::Blocks::Blocks(char* begin, std::size_t size, std::size_t ready,
-                              Buddies::Unit* units, int key) noexcept
+PrivateMemory::Blocks::Blocks(char* begin, std::size_t size, std::size_t ready, int key) noexcept
     : begin_(begin),
       size_(size),
       ready_(ready),
-      key_(key),
-      buddies_(units, order_for(size / kUnit)) {
-  // The first block is what this lies in.
-  static_cast<void>(buddies_.take(order_for(round_up(ready, kUnit) / kUnit)));
-}
+      used_(round_up(sizeof(PrivateMemory), kUnit)),
+      key_(key) {}
 
 void* PrivateMemory::Blocks::do_allocate(std::size_t size, std::size_t alignment) {
-  const std::size_t room = std::max({size, alignment, std::size_t{1}});
+  const std::size_t room = block_for(size, alignment);
   if (room > size_ || alignment > kMaxAlignment) {
     throw std::bad_alloc();
   }
-  const unsigned order = order_for(round_up(room, kUnit) / kUnit);
-  const auto block = buddies_.take(order);
-  if (!block) {
+  Free*& first = free_[static_cast<std::size_t>(std::countr_zero(room))];
+  if (first != nullptr) {
+    return std::exchange(first, first->next);
+  }
+  const std::size_t offset = round_up(used_, room);
+  if (offset + room > size_ || !make_ready(offset + room)) {
     throw std::bad_alloc();
   }
-  const std::size_t offset = std::size_t{*block} * kUnit;
-  if (!make_ready(offset + room)) {
-    buddies_.give_back(*block, order);
-    throw std::bad_alloc();
-  }
+  used_ = offset + room;
   return begin_ + offset;
 }
 
 void PrivateMemory::Blocks::do_deallocate(void* place, std::size_t size, std::size_t alignment) {
-  const std::size_t room = std::max({size, alignment, std::size_t{1}});
-  const std::size_t units = round_up(room, kUnit) / kUnit;
+  const std::size_t room = block_for(size, alignment);
   if (room >= kLarge) {
-    ::madvise(place, units * kUnit, MADV_DONTNEED);
+    ::madvise(place, round_up(size, kUnit), MADV_DONTNEED);
   }
-  const auto offset = static_cast<std::size_t>(static_cast<char*>(place) - begin_);
-  buddies_.give_back(static_cast<std::uint32_t>(offset / kUnit), order_for(units));
+  Free*& first = free_[static_cast<std::size_t>(std::countr_zero(room))];
+  first = new (place) Free{first};
 }
 
 /// Pages become accessible from the front on, so that there are two mappings and not one a block.
@@ -216,75 +181,3 @@ extern "C" std::pmr::memory_resource* play_launch_private_memory() noexcept {
              ? child->options.private_memory
              : std::pmr::new_delete_resource();
 }
-
-namespace play_launch::isolation {
-namespace {
-
-constexpr std::uint32_t kNone = std::numeric_limits<std::uint32_t>::max();
-
-// States of a block's first unit; of all others it means nothing.
-constexpr std::uint8_t kUsed = 0;
-constexpr std::uint8_t free_of(unsigned order) noexcept {
-  return static_cast<std::uint8_t>(order + 1);
-}
-
-}  // namespace
-
-Buddies::Buddies(Unit* units, unsigned order) noexcept : units_(units), order_(order) {
-  first_.fill(kNone);
-  add(0, order);
-}
-
-std::optional<std::uint32_t> Buddies::take(unsigned order) noexcept {
-  unsigned found = order;
-  while (found <= order_ && first_[found] == kNone) {
-    ++found;
-  }
-  if (found > order_) {
-    return std::nullopt;
-  }
-  const std::uint32_t block = first_[found];
-  remove(block, found);
-  while (found > order) {
-    --found;
-    add(block + (std::uint32_t{1} << found), found);
-  }
-  return block;
-}
-
-void Buddies::give_back(std::uint32_t block, unsigned order) noexcept {
-  while (order < order_) {
-    const std::uint32_t buddy = block ^ (std::uint32_t{1} << order);
-    if (units_[buddy].state != free_of(order)) {
-      break;
-    }
-    remove(buddy, order);
-    block = block < buddy ? block : buddy;
-    ++order;
-  }
-  add(block, order);
-}
-
-void Buddies::add(std::uint32_t block, unsigned order) noexcept {
-  const std::uint32_t next = first_[order];
-  units_[block] = {next, kNone, free_of(order)};
-  if (next != kNone) {
-    units_[next].previous = block;
-  }
-  first_[order] = block;
-}
-
-void Buddies::remove(std::uint32_t block, unsigned order) noexcept {
-  const Unit unit = units_[block];
-  if (unit.previous == kNone) {
-    first_[order] = unit.next;
-  } else {
-    units_[unit.previous].next = unit.next;
-  }
-  if (unit.next != kNone) {
-    units_[unit.next].previous = unit.previous;
-  }
-  units_[block].state = kUsed;
-}
-
-}  // namespace play_launch::isolation

@@ -7,54 +7,10 @@
 #include <memory>
 #include <memory_resource>
 #include <mutex>
-#include <optional>
 
 #include "isolation/memory/protection_keys.hpp"
 
 namespace play_launch::isolation {
-
-/// Which parts of a range of memory are free, in units whose size it need not know: blocks of 1, 2,
-/// 4, ... units, each at a multiple of its size. What is given back becomes one with its neighbour
-/// of the same size (Knuth, The Art of Computer Programming 2.5, "buddy system"). Neither touches
-/// the memory nor allocates; not for several threads at a time.
-class Buddies {
- public:
-  static constexpr unsigned kMostOrders = 32;
-
-  /// What is noted of a unit.
-  struct Unit {
-    std::uint32_t next;
-    std::uint32_t previous;
-    std::uint8_t state;
-  };
-
-  /// `units`: 2 to the power of `order` of them, all zero, for as long as this exists. They are not
-  /// touched before their unit is used. All is free at first.
-  Buddies(Unit* units, unsigned order) noexcept;
-
-  /// The first unit of a block of 2 to the power of `order` units; nothing: none is free.
-  [[nodiscard]] std::optional<std::uint32_t> take(unsigned order) noexcept;
-  /// What take(order) gave.
-  void give_back(std::uint32_t block, unsigned order) noexcept;
-
- private:
-  void add(std::uint32_t block, unsigned order) noexcept;
-  void remove(std::uint32_t block, unsigned order) noexcept;
-
-  Unit* const units_;
-  const unsigned order_;
-  /// The free blocks of each order: a list through their first units.
-  std::array<std::uint32_t, kMostOrders> first_{};
-};
-
-/// The lowest order whose blocks have so many units.
-constexpr unsigned order_for(std::size_t units) noexcept {
-  unsigned order = 0;
-  while ((std::size_t{1} << order) < units) {
-    ++order;
-  }
-  return order;
-}
 
 /// The private memory of one node, behind play_launch::private_memory(): a range of addresses with
 /// the node's protection key. The object itself lies in it, with its lock and its lists: code that
@@ -88,11 +44,11 @@ class PrivateMemory final : public std::pmr::memory_resource {
   bool contains(std::uintptr_t address) const noexcept;
 
  private:
-  /// Whole blocks, for the pool of smaller pieces.
+  /// Whole blocks of 1, 2, 4, ... units, for the pool of smaller pieces. Each is at a multiple of
+  /// its size, from the front on; what is given back is used again for blocks of the same size.
   class Blocks final : public std::pmr::memory_resource {
    public:
-    Blocks(char* begin, std::size_t size, std::size_t ready, Buddies::Unit* units,
-           int key) noexcept;
+    Blocks(char* begin, std::size_t size, std::size_t ready, int key) noexcept;
     /// How much of it may be accessed, from the beginning on.
     std::size_t ready() const noexcept { return ready_; }
 
@@ -104,14 +60,20 @@ class PrivateMemory final : public std::pmr::memory_resource {
     }
     bool make_ready(std::size_t end) noexcept;
 
+    /// Lies in the block.
+    struct Free {
+      Free* next;
+    };
+
     char* const begin_;
     const std::size_t size_;
     std::size_t ready_;
+    std::size_t used_;
     const int key_;
-    Buddies buddies_;
+    std::array<Free*, 64> free_{};  // by the logarithm of their size
   };
 
-  PrivateMemory(std::size_t size, std::size_t ready, Buddies::Unit* units, int key) noexcept;
+  PrivateMemory(std::size_t size, std::size_t ready, int key) noexcept;
 
   void* do_allocate(std::size_t size, std::size_t alignment) override;
   void do_deallocate(void* place, std::size_t size, std::size_t alignment) override;

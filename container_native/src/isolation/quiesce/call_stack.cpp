@@ -10,8 +10,8 @@
 #include "isolation/quiesce/quiesce.hpp"
 #include "isolation/record/own_signals.hpp"
 
-#if defined(__x86_64__)
 // Returned to, not called: there is no caller any more.
+#if defined(__x86_64__)
 asm(R"(
     .text
     .p2align 4
@@ -28,12 +28,28 @@ play_launch_park_here:
     .cfi_endproc
     .size play_launch_park_here, . - play_launch_park_here
 )");
+#else
+asm(R"(
+    .text
+    .p2align 4
+    .hidden play_launch_park_here
+    .globl play_launch_park_here
+    .type play_launch_park_here, @function
+    .cfi_startproc
+    .cfi_undefined x30
+    nop // as above
+play_launch_park_here:
+    bl play_launch_park_current_thread
+    brk #1
+    .cfi_endproc
+    .size play_launch_park_here, . - play_launch_park_here
+)");
+#endif
 
 extern "C" void play_launch_park_here();
 extern "C" [[gnu::used, gnu::visibility("hidden")]] void play_launch_park_current_thread() {
   play_launch::isolation::park_if_dying();
 }
-#endif
 
 namespace play_launch::isolation {
 namespace {
@@ -93,11 +109,55 @@ bool has_registers_of_a_wake(void* context) noexcept {
   }
 }
 
+#if defined(__aarch64__)
+constexpr int kFramePointer = 29;
+constexpr int kReturnAddress = 30;
+
+/// Without the signature of pointer authentication.
+std::uintptr_t without_signature(std::uintptr_t address) noexcept {
+  register std::uintptr_t result asm("x30") = address;
+  asm("hint #7" : "+r"(result));  // xpaclri
+  return result;
+}
+
+/// Signed with one of both keys, as functions do with their return address: by the stack pointer.
+std::uintptr_t with_signature(std::uintptr_t address, std::uintptr_t stack, bool first) noexcept {
+  register std::uintptr_t result asm("x17") = address;
+  register std::uintptr_t modifier asm("x16") = stack;
+  if (first) {
+    asm("hint #8" : "+r"(result) : "r"(modifier));  // pacia1716
+  } else {
+    asm("hint #10" : "+r"(result) : "r"(modifier));  // pacib1716
+  }
+  return result;
+}
+#endif
+
+/// Replaces the return address to a frame, if that is it.
+void replace_return(std::uintptr_t& address, const Frame& frame) noexcept {
+  const auto parking = reinterpret_cast<std::uintptr_t>(&play_launch_park_here);
+  if (address == frame.address) {
+    address = parking;
+    return;
+  }
+#if defined(__aarch64__)
+  if (without_signature(address) == frame.address) {
+    for (const bool first : {true, false}) {
+      if (with_signature(frame.address, frame.stack, first) == address) {
+        address = with_signature(parking, frame.stack, first);
+        return;
+      }
+    }
+  }
+#endif
+}
+
 struct Collection {
   CallStack& stack;
   std::uintptr_t begin;  // the interrupted place; the handler's own frames come before it
   bool began = false;
   std::size_t skipped = 0;
+  std::uintptr_t frame_pointer = 0;  // in the function before
 };
 
 _Unwind_Reason_Code collect(_Unwind_Context* context, void* argument) noexcept {
@@ -112,8 +172,17 @@ _Unwind_Reason_Code collect(_Unwind_Context* context, void* argument) noexcept {
   if (stack.count == CallStack::kMaxFrames || address == 0) {
     return _URC_END_OF_STACK;
   }
-  const std::uintptr_t pointer = stack.count == 0 ? 0 : _Unwind_GetCFA(context);
-  stack.frames[stack.count++] = {address, pointer};
+  const bool is_innermost = stack.count == 0;
+  Frame& frame = stack.frames[stack.count++];
+  frame = {address, is_innermost ? 0 : _Unwind_GetCFA(context)};
+#if defined(__x86_64__)
+  frame.kept = is_innermost ? nullptr : reinterpret_cast<std::uintptr_t*>(frame.stack) - 1;
+#else
+  // The frame pointer of a function points to that of its caller, and the return address.
+  frame.kept =
+      is_innermost ? nullptr : reinterpret_cast<std::uintptr_t*>(collection.frame_pointer) + 1;
+  collection.frame_pointer = _Unwind_GetGR(context, kFramePointer);
+#endif
   return _URC_NO_REASON;
 }
 
@@ -167,21 +236,21 @@ void prepare_call_stack() {
   unwind(stack, 0);
 }
 
-bool park_on_return_to(const Frame& frame) noexcept {
-#if defined(__x86_64__)
-  if (frame.stack == 0) {
-    return false;
+void park_on_return_to(const CallStack& stack, std::size_t number, void* context) noexcept {
+  const Frame& frame = stack.frames[number];
+#if defined(__aarch64__)
+  if (number == 1) {
+    // A function that calls no other keeps it in its register, others at their beginning and end.
+    std::uintptr_t address = registers_of(context).regs[kReturnAddress];
+    replace_return(address, frame);
+    registers_of(context).regs[kReturnAddress] = address;
   }
-  auto* const slot = reinterpret_cast<std::uintptr_t*>(frame.stack) - 1;
-  if (*slot != frame.address) {
-    return false;
-  }
-  *slot = reinterpret_cast<std::uintptr_t>(&play_launch_park_here);
-  return true;
 #else
-  static_cast<void>(frame);
-  return false;
+  static_cast<void>(context);
 #endif
+  if (frame.kept != nullptr) {
+    replace_return(*frame.kept, frame);
+  }
 }
 
 }  // namespace play_launch::isolation

@@ -12,6 +12,8 @@ struct Frame {
   std::uintptr_t address = 0;
   /// The stack pointer when it does; 0 for the innermost one.
   std::uintptr_t stack = 0;
+  /// Where that return address is kept, if the function that returns there has kept it.
+  std::uintptr_t* kept = nullptr;
 };
 
 /// The call stack of the thread that a signal interrupted, innermost first.
@@ -38,8 +40,9 @@ CallStack interrupted_call_stack(void* context, bool jumped_to_no_code = false) 
 void prepare_call_stack();
 
 /// Makes the thread, whose call stack that is and whose signal handler calls this, park in the
-/// moment when it would return to that frame. False where this cannot be done. The frame's function
-/// does not run on. Async-signal-safe; faults when the stack is not where the frame says.
-bool park_on_return_to(const Frame& frame) noexcept;
+/// moment when it would return to the frame of that number, 1 or more. The frame's function does
+/// not run on. Does nothing where the return address is not found. `context` as above.
+/// Async-signal-safe; faults when the stack is not where the frame says.
+void park_on_return_to(const CallStack& stack, std::size_t number, void* context) noexcept;
 
 }  // namespace play_launch::isolation

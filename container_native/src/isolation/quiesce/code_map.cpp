@@ -37,6 +37,43 @@ struct Range {
   bool contains(std::uintptr_t address) const { return begin <= address && address < end; }
 };
 
+/// By address.
+std::array<Range, 1024> ranges;
+std::atomic<std::size_t> count{0};
+
+int add_object(dl_phdr_info* object, std::size_t, void* data) {
+  const std::string_view path = object->dlpi_name == nullptr ? "" : object->dlpi_name;
+  if (path.empty()) {
+    return 0;  // the program
+  }
+  auto& used = *static_cast<std::size_t*>(data);
+  for (int i = 0; i < object->dlpi_phnum && used < ranges.size(); ++i) {
+    const ElfW(Phdr)& segment = object->dlpi_phdr[i];
+    if (segment.p_type == PT_LOAD && (segment.p_flags & PF_X) != 0) {
+      const std::uintptr_t begin = object->dlpi_addr + segment.p_vaddr;
+      ranges[used++] = {begin, begin + segment.p_memsz};
+    }
+  }
+  return 0;
+}
+
+void note_early_code() noexcept {
+  count = 0;
+  std::size_t used = 0;
+  ::dl_iterate_phdr(add_object, &used);
+  std::ranges::sort(ranges.begin(), ranges.begin() + static_cast<std::ptrdiff_t>(used), {},
+                    &Range::begin);
+  count = used;
+}
+
+/// Whether the address is code of a library that was there before the first node; the program does
+/// not count.
+bool is_early_code(std::uintptr_t address) noexcept {
+  const auto end = ranges.begin() + static_cast<std::ptrdiff_t>(count.load());
+  const auto after = std::ranges::upper_bound(ranges.begin(), end, address, {}, &Range::begin);
+  return after != ranges.begin() && std::prev(after)->contains(address);
+}
+
 /// Message libraries, libstd_msgs__rosidl_typesupport_cpp.so, are loaded with the first node that
 /// needs them, and belong to the middleware.
 constexpr std::string_view kGeneratedCode = "__rosidl_";
@@ -194,29 +231,48 @@ bool in_call_stub(std::uintptr_t address) {
 #endif
 }
 
-Place in_c_library(std::uintptr_t address, bool innermost, bool wakes_others, Caution caution) {
+/// A return address may already be the next function's: a call can be the last of its caller.
+std::uintptr_t address_in(const CallStack& stack, std::size_t frame) {
+  return stack.frames[frame].address - (frame == 0 ? 0 : 1);
+}
+
+bool is_c_library(const link_map* library) {
+  return library != nullptr && begins_with_any(base_name(library->l_name), kCLibrary);
+}
+
+/// The thread runs there, or in what that frame called there: on AArch64 the C library's locks call
+/// functions for atomic operations.
+bool runs_in_c_library(const CallStack& stack, std::size_t frame) {
+  for (std::size_t i = 0; i < frame; ++i) {
+    if (!is_c_library(library_at(address_in(stack, i)))) {
+      return false;
+    }
+  }
+  return !at_system_call(stack.frames[0].address);
+}
+
+Place in_c_library(const CallStack& stack, std::size_t frame, Caution caution) {
+  const bool innermost = frame == 0;
+  const std::uintptr_t address = address_in(stack, frame);
   if (is_in(address, Meaning::last_words)) {
     return Place::neutral;
   }
   if (is_in(address, Meaning::inside)) {
     return Place::inside;
   }
-  if (innermost && wakes_others && before_system_call(address)) {
+  if (innermost && stack.wakes_others && before_system_call(address)) {
     // The kernel never asks for a wake a second time, so this one is still to come. What the
     // thread held is free by now, but its waiter would never wake up.
     return Place::inside;
   }
-  const bool running = innermost && !at_system_call(address);
-  if (running && (caution == Caution::careful || is_in(address, Meaning::locking))) {
-    return Place::inside;
-  }
-  return Place::neutral;
+  const bool counts = innermost && caution == Caution::careful;
+  const bool may_lock = counts || is_in(address, Meaning::locking);
+  return may_lock && runs_in_c_library(stack, frame) ? Place::inside : Place::neutral;
 }
 
 Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
   const bool innermost = frame == 0;
-  // A return address may already be the next function's: a call can be the last of its caller.
-  const std::uintptr_t address = stack.frames[frame].address - (innermost ? 0 : 1);
+  const std::uintptr_t address = address_in(stack, frame);
   if (is_in(address, Meaning::waiting)) {
     return Place::harmless;
   }
@@ -228,14 +284,13 @@ Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
   const link_map& library = *found;
   const std::string_view name = base_name(library.l_name);
   const bool is_program = name.empty();
-  if (begins_with_any(name, kCLibrary)) {
-    return in_c_library(address, innermost, stack.wakes_others, caution);
+  if (is_c_library(found)) {
+    return in_c_library(stack, frame, caution);
   }
   if (begins_with_any(name, kCppRuntime)) {
     return Place::neutral;
   }
-  if (is_early_code(reinterpret_cast<const void*>(address)) ||
-      name.find(kGeneratedCode) != std::string_view::npos) {
+  if (is_early_code(address) || name.find(kGeneratedCode) != std::string_view::npos) {
     return Place::inside;
   }
   if (innermost && in_call_stub(address)) {
@@ -336,60 +391,3 @@ std::size_t thrower_in(const CallStack& stack) noexcept {
 }
 
 }  // namespace play_launch::isolation
-
-namespace play_launch {
-namespace {
-
-/// One piece of code.
-struct Range {
-  std::uintptr_t begin = 0;
-  std::uintptr_t end = 0;
-};
-
-/// By address.
-std::array<Range, 1024> ranges;
-std::atomic<std::size_t> count{0};
-
-int add_object(dl_phdr_info* object, std::size_t, void* data) {
-  const std::string_view path = object->dlpi_name == nullptr ? "" : object->dlpi_name;
-  if (path.empty()) {
-    return 0;  // the program
-  }
-  auto& used = *static_cast<std::size_t*>(data);
-  for (int i = 0; i < object->dlpi_phnum && used < ranges.size(); ++i) {
-    const ElfW(Phdr)& segment = object->dlpi_phdr[i];
-    if (segment.p_type == PT_LOAD && (segment.p_flags & PF_X) != 0) {
-      const std::uintptr_t begin = object->dlpi_addr + segment.p_vaddr;
-      ranges[used++] = {begin, begin + segment.p_memsz};
-    }
-  }
-  return 0;
-}
-
-/// Null: in none of them.
-const Range* range_of(const void* address) noexcept {
-  const auto place = reinterpret_cast<std::uintptr_t>(address);
-  const auto end = ranges.begin() + static_cast<std::ptrdiff_t>(count.load());
-  const auto after = std::upper_bound(
-      ranges.begin(), end, place,
-      [](std::uintptr_t wanted, const Range& range) { return wanted < range.begin; });
-  if (after == ranges.begin() || place >= std::prev(after)->end) {
-    return nullptr;
-  }
-  return &*std::prev(after);
-}
-
-}  // namespace
-
-void note_early_code() noexcept {
-  count = 0;
-  std::size_t used = 0;
-  ::dl_iterate_phdr(add_object, &used);
-  std::sort(ranges.begin(), ranges.begin() + static_cast<std::ptrdiff_t>(used),
-            [](const Range& one, const Range& other) { return one.begin < other.begin; });
-  count = used;
-}
-
-bool is_early_code(const void* address) noexcept { return range_of(address) != nullptr; }
-
-}  // namespace play_launch

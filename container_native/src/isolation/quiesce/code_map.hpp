@@ -22,8 +22,9 @@ struct Judgement {
   std::size_t way_out = 0;
 };
 
-/// Notes which libraries are there, and looks up the places in the C library that matter. Before
-/// the first library of a node.
+/// Notes which libraries are there: the client library, the middleware, the allocator and what they
+/// need. What comes later belongs to nodes. And looks up the places in the C library that matter.
+/// Once, in the container, before the first library of a node is loaded. Takes the loader's lock.
 void prepare_code_map();
 
 /// Looks those places up; the names of the ones that are missing, or not what they are expected to
@@ -31,7 +32,7 @@ void prepare_code_map();
 std::vector<std::string> find_landmarks();
 
 /// Decided by the innermost frame that is neither in the C nor the C++ library: whether it is in a
-/// library that was there before the first node, see note_early_code(), which has locks that all
+/// library that was there before the first node, which has locks that all
 /// nodes share; in a message library; or in a template of rclcpp or of this SDK that was compiled
 /// into a user's library. (Outer frames always are the middleware's: it calls the
 /// callbacks, without holding a lock.) A thread that waits for another one to end is harmless
@@ -43,16 +44,3 @@ Judgement judge(const CallStack& stack, Caution caution, std::size_t first = 0) 
 std::size_t thrower_in(const CallStack& stack) noexcept;
 
 }  // namespace play_launch::isolation
-
-namespace play_launch {
-
-/// Remembers which libraries are loaded: the client library, the middleware, the allocator and what
-/// they need. What comes later belongs to nodes. Once, in the container, before the first library
-/// of a node is loaded. Takes the loader's lock.
-void note_early_code() noexcept;
-
-/// Whether the address is code of such a library; the program does not count. Always false before.
-/// Async-signal-safe.
-bool is_early_code(const void* address) noexcept;
-
-}  // namespace play_launch

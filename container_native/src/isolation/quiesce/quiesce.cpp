@@ -29,6 +29,9 @@ namespace {
 using namespace std::chrono_literals;
 using std::chrono::nanoseconds;
 
+/// Not one of the real-time signals, which queue up: a thread that has to wait for a processor
+/// would then be looked at many times in one place. The kernel never sends this one.
+constexpr int kParkSignal = SIGSTKFLT;
 /// Between two looks at threads that were in a bad place. Short: in a loop that allocates, most
 /// looks come at a bad moment.
 constexpr nanoseconds kRetry = 100us;
@@ -109,7 +112,7 @@ bool sleeps_unasked(const NumberList& threads, pid_t thread) noexcept {
   std::uint64_t blocked = 0;
   std::from_chars(status.data() + place + kBlocked.size(), status.data() + status.size(), blocked,
                   kHexadecimal);
-  return (blocked >> (park_signal() - 1) & 1) != 0;
+  return (blocked >> (kParkSignal - 1) & 1) != 0;
 }
 
 struct Others {
@@ -125,7 +128,7 @@ Others ask_to_park(ChildRecord& child, NumberList& threads) noexcept {
   const bool listed = threads.for_each([&](pid_t thread) {
     // One that is already gone is not in the list the next time.
     if (thread == self || is_parked(child, thread) ||
-        ::syscall(SYS_tgkill, process, thread, park_signal()) != 0) {
+        ::syscall(SYS_tgkill, process, thread, kParkSignal) != 0) {
       return;
     }
     // Parked threads block all signals, too: it may have become one meanwhile.
@@ -167,7 +170,7 @@ extern "C" void on_park_signal(int, siginfo_t* info, void* context) {
     }
     child->seen_inside += first ? 1 : 0;
     if (judgement.way_out < stack.count) {
-      survive([&] { park_on_return_to(stack.frames[judgement.way_out]); });
+      survive([&] { park_on_return_to(stack, judgement.way_out, context); });
     }
   }
   errno = error;
@@ -175,17 +178,13 @@ extern "C" void on_park_signal(int, siginfo_t* info, void* context) {
 
 }  // namespace
 
-// Not one of the real-time signals, which queue up: a thread that has to wait for a processor would
-// then be looked at many times in one place. The kernel never sends this one.
-int park_signal() noexcept { return SIGSTKFLT; }
-
 void install_park_handler() noexcept {
   looks = 0;
   struct sigaction action{};
   action.sa_sigaction = on_park_signal;
   action.sa_flags = SA_SIGINFO | SA_RESTART | SA_ONSTACK;
   sigfillset(&action.sa_mask);
-  ::sigaction(park_signal(), &action, nullptr);
+  ::sigaction(kParkSignal, &action, nullptr);
 }
 
 void park(ChildRecord& child, bool at_rest) noexcept {

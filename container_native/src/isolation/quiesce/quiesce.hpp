@@ -15,10 +15,8 @@ namespace play_launch::isolation {
 /// into the slot. Async-signal-safe.
 void quiesce(ChildRecord& child) noexcept;
 
-/// In a child: installs the handler of the signal that quiesce() interrupts threads with
-/// (park_signal()).
+/// In a child: installs the handler of the signal that quiesce() interrupts threads with.
 void install_park_handler() noexcept;
-int park_signal() noexcept;
 
 /// Stops the calling thread of the child for good and counts it as parked. `at_rest`: it is not
 /// amidst anything that it shares with others. Async-signal-safe.

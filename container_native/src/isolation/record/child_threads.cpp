@@ -153,7 +153,7 @@ struct Place {
 std::array<Place, kMostDeadThreads> places;
 std::atomic<std::size_t> noted{0};
 
-std::size_t used() { return std::min<std::size_t>(noted, kMostDeadThreads); }
+std::size_t noted_now() { return std::min<std::size_t>(noted, kMostDeadThreads); }
 
 }  // namespace
 
@@ -170,7 +170,7 @@ void note_dead_thread(pid_t thread, pid_t process, std::string_view process_name
 }
 
 void forget_dead_thread(pid_t thread) noexcept {
-  const std::size_t end = used();
+  const std::size_t end = noted_now();
   for (std::size_t i = 0; i < end; ++i) {
     pid_t expected = thread;
     // Each thread of a node looks when it begins; hardly one of them is in the list.
@@ -181,7 +181,7 @@ void forget_dead_thread(pid_t thread) noexcept {
 }
 
 std::optional<DeadThread> find_dead_thread(pid_t thread) noexcept {
-  const std::size_t end = used();
+  const std::size_t end = noted_now();
   for (std::size_t i = 0; i < end; ++i) {
     const Place& place = places[i];
     if (place.thread != thread) {

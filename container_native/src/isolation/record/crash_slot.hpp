@@ -76,9 +76,6 @@ struct CrashReport {
 /// container. Lives in ordinary memory of the container, as the child shares it. Holds nothing that
 /// must be destroyed.
 struct CrashSlot {
-  /// As it is before a child. run_in_child() does it.
-  void reset();
-
   // Set by the child before anything else, pid first.
   std::atomic<pid_t> pid{0};
   std::atomic<std::uint64_t> start_time{0};  // clock ticks after boot, /proc/<pid>/stat field 22
@@ -89,6 +86,9 @@ struct CrashSlot {
   // A signal asked the child to leave.
   std::atomic<int> stop_signal{0};
   std::atomic<pid_t> stop_sender{0};
+
+  /// The signal that the child ends itself by, also where SIGKILL does it in place of that.
+  std::atomic<int> died_of{0};
 
   /// The thread that crashed; 0: no crash was caught. Signal, place and first frame are in the
   /// report by then, the other frames and `inside` when `traced` is set.
@@ -110,7 +110,7 @@ struct ChildEnd {
   int error = 0;      // errno when there was no child at all; the rest is 0 then
   pid_t pid = 0;      // what it had; free to be used again by now
   int exit_code = 0;  // when it exited
-  int signal = 0;     // when a signal ended it; else 0
+  int signal = 0;     // when a signal ended it, see CrashSlot::died_of; else 0
   bool dumped_core = false;
   /// Its entry function came to its end, whatever the child then died of: its first thread did not
   /// die amidst something.

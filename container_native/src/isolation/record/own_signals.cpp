@@ -4,8 +4,10 @@
 #include <signal.h>
 #include <sys/syscall.h>
 #include <time.h>
+#include <ucontext.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 
 namespace play_launch::isolation {
@@ -45,23 +47,48 @@ SelfSignal::~SelfSignal() {
   }
 }
 
-bool signal_self_after(std::chrono::milliseconds limit, int signal, void* cookie,
+void signal_self_after(std::chrono::milliseconds limit, int signal, void* cookie,
                        clockid_t clock) noexcept {
-  SelfSignal later(limit, signal, cookie, clock);
-  const bool armed = static_cast<bool>(later);
-  later.keep();
-  return armed;
+  SelfSignal(limit, signal, cookie, clock).keep();
 }
 
-void die_of(int signal) noexcept {
-  block_all_signals();
+namespace {
+
+/// Those whose default action dumps core.
+constexpr std::array kDumping{SIGQUIT, SIGILL, SIGTRAP, SIGABRT, SIGFPE,
+                              SIGSEGV, SIGBUS, SIGSYS,  SIGXCPU, SIGXFSZ};
+
+bool ends_by_kill = false;
+
+void set_default(int signal) noexcept {
   struct sigaction action{};
   action.sa_handler = SIG_DFL;
   ::sigaction(signal, &action, nullptr);
+}
+
+}  // namespace
+
+void end_children_by_kill(bool enabled) noexcept { ends_by_kill = enabled; }
+bool children_end_by_kill() noexcept { return ends_by_kill; }
+
+void die_of(int signal) noexcept {
+  block_all_signals();
+  if (ends_by_kill && std::ranges::find(kDumping, signal) != kDumping.end()) {
+    ::syscall(SYS_kill, ::getpid(), SIGKILL);
+  }
+  set_default(signal);
   ::syscall(SYS_tgkill, ::getpid(), ::gettid(), signal);
   unblock_all_signals();
   constexpr int kExitSignalled = 128;  // as shells report it; for a signal that ends no process
   ::_exit(kExitSignalled + signal);
+}
+
+void die_in_place(int signal, siginfo_t& info, void* context) noexcept {
+  set_default(signal);
+  // Again as it came, instead of leaving it to the instruction to fault again: blocked while the
+  // handler runs, it waits for the return.
+  ::syscall(SYS_rt_tgsigqueueinfo, ::getpid(), ::gettid(), signal, &info);
+  sigdelset(&static_cast<ucontext_t*>(context)->uc_sigmask, signal);
 }
 
 namespace {

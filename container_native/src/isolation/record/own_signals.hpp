@@ -29,8 +29,6 @@ class SelfSignal {
   SelfSignal(const SelfSignal&) = delete;
   SelfSignal& operator=(const SelfSignal&) = delete;
 
-  /// False: there is no timer to be had, see errno.
-  explicit operator bool() const { return timer_ >= 0; }
   /// It comes whether this is destroyed or not.
   void keep() noexcept { timer_ = -1; }
 
@@ -38,12 +36,23 @@ class SelfSignal {
   int timer_ = -1;
 };
 
-/// In a child: such a signal that always comes. False with errno when there is no timer.
-bool signal_self_after(std::chrono::milliseconds limit, int signal, void* cookie = nullptr,
+/// In a child: such a signal that always comes, if there is a timer to be had.
+void signal_self_after(std::chrono::milliseconds limit, int signal, void* cookie = nullptr,
                        clockid_t clock = CLOCK_MONOTONIC) noexcept;
 
-/// In a child: ends it by that signal's default action.
+/// Before Linux 5.16, a process whose signal dumps core takes along all that share its memory, even
+/// where no core would be written. With true, children end by SIGKILL in place of such a signal.
+/// To be called before the first child.
+void end_children_by_kill(bool enabled) noexcept;
+bool children_end_by_kill() noexcept;
+
+/// In a child: ends it by that signal's default action, or by SIGKILL in place of it.
 [[noreturn]] void die_of(int signal) noexcept;
+
+/// From a handler that blocks all signals: the process dies of the signal when the handler returns,
+/// in the interrupted place and with the interrupted registers, so that a core shows the fault and
+/// not the handler.
+void die_in_place(int signal, siginfo_t& info, void* context) noexcept;
 
 /// Runs function(argument), in a signal handler that install_crash_handlers() or
 /// install_park_handler() installed, or while there is a SurvivalOfReports. A fault or an abort()

@@ -7,7 +7,7 @@ function startFailures() {
   facts.marks.forEach((mark, number) => {
     const button = make("button", { type: "button", "data-mark": number },
       make("time", { text: clock(mark.at, 1) }),
-      make("span", { className: "who", text: `${rowName(mark.row)} ${mark.what}` }),
+      make("span", { className: "unit", text: `${rowName(mark.row)} ${mark.what}` }),
       make("span", { className: "why", text: mark.reason }));
     button.addEventListener("click", () => showFailure(number));
     list.append(make("li", {}, button));

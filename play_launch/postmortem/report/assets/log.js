@@ -22,7 +22,7 @@ function drawLog() {
   const first = Math.max(0, Math.floor(holder.scrollTop / lineHeight) - 4);
   const last = Math.min(lineCount(), first + Math.ceil(holder.clientHeight / lineHeight) + 9);
   while (log.pool.length < last - first) {
-    const line = make("div", { className: "line" }, ...["time", "level", "who", "text"].map((className) => make("span", { className })));
+    const line = make("div", { className: "line" }, ...["time", "level", "unit", "text"].map((className) => make("span", { className })));
     line.lastChild.dir = "auto";
     byId("log-space").append(line);
     log.pool.push(line);
@@ -42,10 +42,10 @@ function fillLine(line, place) {
   line.className = `line${level >= 40 ? " error" : level >= 30 ? " warn" : ""}${number === log.here ? " here" : ""}`;
   line.style.top = `${place * lineHeight}px`;
   line.dataset.number = number;
-  const [time, word, who, text] = line.children;
+  const [time, word, unit, text] = line.children;
   time.textContent = clock(times[number]);
   word.textContent = levelWord(level).padEnd(5);
-  who.textContent = rowName(rows[number]);
+  unit.textContent = rowName(rows[number]);
   text.textContent = texts[number];
 }
 

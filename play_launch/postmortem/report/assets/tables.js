@@ -70,13 +70,13 @@ function pointItem(point) {
 }
 
 function goTo(point) {
-  const isAbout = (mark) => !point.who || rowName(mark.row) === point.who;
+  const isAbout = (mark) => !point.name || rowName(mark.row) === point.name;
   const mark = facts.marks.findIndex((each) => Math.abs(each.at - point.at) < 1000 && isAbout(each));
   if (mark >= 0) {
     showFailure(mark);
     return;
   }
-  const row = facts.rows.findIndex((each) => each.name === point.who);
+  const row = facts.rows.findIndex((each) => each.name === point.name);
   bringIntoView(byId("timeline-card"));
   if (row >= 0) {
     revealRow(row);

@@ -62,7 +62,7 @@ namespace test_components {
 }
 
 /// Dies `after` seconds (not at all if negative), or in its constructor, or of a message on `crash`
-/// that says how.
+/// that tells how.
 class Crasher : public rclcpp::Node {
  public:
   explicit Crasher(const rclcpp::NodeOptions& options) : Node("crasher", options) {

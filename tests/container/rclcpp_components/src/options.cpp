@@ -7,7 +7,7 @@
 
 namespace test_components {
 
-/// Has every parameter that it is given, and says on `options` (for those who come later, too) what
+/// Has every parameter that it is given, and publishes on `options` (latched for late readers) what
 /// options it was made with.
 class Options : public rclcpp::Node {
  public:
@@ -15,7 +15,7 @@ class Options : public rclcpp::Node {
       : Node("options", rclcpp::NodeOptions(options)
                             .allow_undeclared_parameters(true)
                             .automatically_declare_parameters_from_overrides(true)) {
-    rclcpp::PublisherOptions by_middleware;  // which keeps it for those who come later
+    rclcpp::PublisherOptions by_middleware;  // which keeps it for late readers
     by_middleware.use_intra_process_comm = rclcpp::IntraProcessSetting::Disable;
     publisher_ = create_publisher<std_msgs::msg::String>(
         "options", rclcpp::QoS(1).transient_local(), by_middleware);
