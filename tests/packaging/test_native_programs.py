@@ -86,16 +86,24 @@ def test_the_cpp_tests_build_without_warnings_and_pass(built: Path) -> None:
 
 
 @pytest.mark.timeout(LIMIT)
-def test_isolation_on_an_older_kernel(
-    built: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    "arguments",
+    # Where a core dump ends every process that shares the memory: Linux before 5.16.
+    [("--older",), (str(ROOT / "tests/guest/older/isolation"),)],
+    ids=["5.10", "6.1"],
+)
+def test_isolation_on_another_kernel(
+    arguments: tuple[str, ...],
+    built: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Where a core dump ends every process that shares the memory: Linux before 5.16."""
     monkeypatch.setenv("NATIVE_TESTS", str(built))
-    in_a_virtual_machine(capsys, "--older")
+    in_a_virtual_machine(capsys, *arguments)
 
 
 @pytest.mark.timeout(LIMIT)
-@pytest.mark.parametrize("options", [(), ("--older",)])
+@pytest.mark.parametrize("options", [("--older",), ()], ids=["5.10", "6.1"])
 def test_isolation_on_arm64(
     built_for_arm64: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...]
 ) -> None:

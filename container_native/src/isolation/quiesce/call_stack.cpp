@@ -10,41 +10,27 @@
 #include "isolation/quiesce/quiesce.hpp"
 #include "isolation/record/own_signals.hpp"
 
-// Returned to, not called: there is no caller any more.
+// The unwinder looks for a return address in what is before it: nop.
 #if defined(__x86_64__)
-asm(R"(
-    .text
-    .p2align 4
-    .hidden play_launch_park_here
-    .globl play_launch_park_here
-    .type play_launch_park_here, @function
-    .cfi_startproc
-    .cfi_undefined rip
-    nop # the unwinder looks for a return address in what is before it
-play_launch_park_here:
-    and $-16, %rsp
-    call play_launch_park_current_thread
-    hlt
-    .cfi_endproc
-    .size play_launch_park_here, . - play_launch_park_here
-)");
+#define RETURN_ADDRESS "rip"
+#define PARK "and $-16, %rsp\n call play_launch_park_current_thread\n hlt\n"
 #else
-asm(R"(
-    .text
-    .p2align 4
-    .hidden play_launch_park_here
-    .globl play_launch_park_here
-    .type play_launch_park_here, @function
-    .cfi_startproc
-    .cfi_undefined x30
-    nop // as above
-play_launch_park_here:
-    bl play_launch_park_current_thread
-    brk #1
-    .cfi_endproc
-    .size play_launch_park_here, . - play_launch_park_here
-)");
+#define RETURN_ADDRESS "x30"
+#define PARK "bl play_launch_park_current_thread\n brk #1\n"
 #endif
+// Returned to, not called: there is no caller any more.
+asm(".text\n"
+    ".p2align 4\n"
+    ".hidden play_launch_park_here\n"
+    ".globl play_launch_park_here\n"
+    ".type play_launch_park_here, %function\n"
+    ".cfi_startproc\n"
+    ".cfi_undefined " RETURN_ADDRESS
+    "\n"
+    "nop\n"
+    "play_launch_park_here:\n" PARK
+    ".cfi_endproc\n"
+    ".size play_launch_park_here, . - play_launch_park_here\n");
 
 extern "C" void play_launch_park_here();
 extern "C" [[gnu::used, gnu::visibility("hidden")]] void play_launch_park_current_thread() {

@@ -35,12 +35,17 @@ constexpr int kParkSignal = SIGSTKFLT;
 /// Between two looks at threads that were in a bad place. Short: in a loop that allocates, most
 /// looks come at a bad moment.
 constexpr nanoseconds kRetry = 100us;
+/// How many times the longest look to wait at least: a thread that is looked at all the time never
+/// leaves its place. Unwinding takes 100 ms where a processor is emulated.
+constexpr int kLooksBetween = 2;
+/// How often to look at a thread before it counts as one that stays in a bad place.
+constexpr int kLeastLooks = 8;
 /// How often to look carefully at one thread. If it was never in a place that is known to be
 /// harmless, it hardly ever is: its code has no exported names, and more looks show no more.
 constexpr int kCarefulLooks = 5;
-/// How many times the limit to wait for threads that had no processor to be looked at on: nothing
-/// is known of them, and on a loaded machine they may be in the middle of anything.
-constexpr int kTerminateAfter = 4;
+/// How many times the limit to wait for threads that were not looked at so often, for want of a
+/// processor or of its speed: nothing is known of them, they may be in the middle of anything.
+constexpr int kTerminateAfter = 20;
 
 nanoseconds now() noexcept {
   timespec time{};
@@ -141,9 +146,11 @@ Others ask_to_park(ChildRecord& child, NumberList& threads) noexcept {
   return listed ? others : Others{.left = 1};
 }
 
-void wait_for_change(std::atomic<std::uint32_t>& count, std::uint32_t seen) noexcept {
+void wait_for_change(std::atomic<std::uint32_t>& count, std::uint32_t seen,
+                     nanoseconds longest) noexcept {
   static_assert(sizeof count == sizeof(std::uint32_t));
-  const timespec time{0, kRetry.count()};
+  const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(longest);
+  const timespec time{seconds.count(), (longest - seconds).count()};
   ::syscall(SYS_futex, &count, FUTEX_WAIT_PRIVATE, seen, &time, nullptr, 0);
 }
 
@@ -159,19 +166,19 @@ extern "C" void on_park_signal(int, siginfo_t* info, void* context) {
     if (child->options.key_rights != 0) {
       assume_rights(child->options.key_rights);  // what is looked at may be the node's own memory
     }
+    const nanoseconds begin = now();
     const CallStack stack = interrupted_call_stack(context);
-    const bool first = looks++ == 0;
+    child->seen_inside += ++looks == kLeastLooks ? 1 : 0;
     const bool lenient = looks > kCarefulLooks;
     Judgement judgement{.harmless = false, .way_out = stack.count};
     survive([&] { judgement = judge(stack, lenient ? Caution::lenient : Caution::careful); });
     if (judgement.harmless) {
-      child->seen_inside -= first ? 0 : 1;
       park(*child);
     }
-    child->seen_inside += first ? 1 : 0;
     if (judgement.way_out < stack.count) {
       survive([&] { park_on_return_to(stack, judgement.way_out, context); });
     }
+    child->longest_look = std::max(child->longest_look.load(), now() - begin);
   }
   errno = error;
 }
@@ -192,6 +199,7 @@ void park(ChildRecord& child, bool at_rest) noexcept {
   if (at_rest) {
     child.threads.rest();
   }
+  child.seen_inside -= looks >= kLeastLooks ? 1 : 0;
   const std::uint32_t place = child.parked_count.fetch_add(1);
   if (place < ChildRecord::kMaxParked) {
     child.parked[place] = ::gettid();
@@ -226,7 +234,9 @@ void quiesce(ChildRecord& child) noexcept {
     if (others.left == 0 || passed >= (all_seen ? limit : limit * kTerminateAfter)) {
       break;
     }
-    wait_for_change(child.parked_count, seen);
+    const nanoseconds between =
+        std::min(child.longest_look.load() * kLooksBetween, limit * kTerminateAfter / kLeastLooks);
+    wait_for_change(child.parked_count, seen, std::max(kRetry, between));
   }
   child.slot->report.threads_parked = child.parked_count + others.unasked;
   child.slot->report.threads_not_parked = others.left;

@@ -65,7 +65,7 @@ struct ChildOptions {
   /// process sent) to its death of that signal, should run() not return.
   std::chrono::milliseconds leave_limit{1000};
   /// For bringing the other threads to a harmless place before the child dies of a fault; up to
-  /// four times as long when some of them get no processor.
+  /// twenty times as long when some of them get too little of a processor.
   std::chrono::milliseconds quiesce_limit{50};
   /// Every signal that it handles ends it at once, with its other threads wherever they are. For
   /// measuring what the care above is worth.
@@ -107,8 +107,10 @@ struct ChildRecord {
   bool after_death = false;
   /// The thread that ends the child: the first to crash, to call exit() or to return from run().
   std::atomic<pid_t> ender{0};
-  /// How many threads were asked to park at a bad moment, and have not parked since.
+  /// How many threads were in a bad place however often they were asked to park.
   std::atomic<std::uint32_t> seen_inside{0};
+  /// How long it took at most to judge where a thread is.
+  std::atomic<std::chrono::nanoseconds> longest_look{};
   /// Threads that were parked, in order of arrival.
   std::array<std::atomic<pid_t>, kMaxParked> parked{};
   std::atomic<std::uint32_t> parked_count{0};

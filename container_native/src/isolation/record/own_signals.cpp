@@ -7,7 +7,6 @@
 #include <ucontext.h>
 #include <unistd.h>
 
-#include <algorithm>
 #include <array>
 
 namespace play_launch::isolation {
@@ -54,10 +53,6 @@ void signal_self_after(std::chrono::milliseconds limit, int signal, void* cookie
 
 namespace {
 
-/// Those whose default action dumps core.
-constexpr std::array kDumping{SIGQUIT, SIGILL, SIGTRAP, SIGABRT, SIGFPE,
-                              SIGSEGV, SIGBUS, SIGSYS,  SIGXCPU, SIGXFSZ};
-
 bool ends_by_kill = false;
 
 void set_default(int signal) noexcept {
@@ -73,7 +68,7 @@ bool children_end_by_kill() noexcept { return ends_by_kill; }
 
 void die_of(int signal) noexcept {
   block_all_signals();
-  if (ends_by_kill && std::ranges::find(kDumping, signal) != kDumping.end()) {
+  if (ends_by_kill) {
     ::syscall(SYS_kill, ::getpid(), SIGKILL);
   }
   set_default(signal);

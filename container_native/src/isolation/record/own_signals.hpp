@@ -41,7 +41,7 @@ void signal_self_after(std::chrono::milliseconds limit, int signal, void* cookie
                        clockid_t clock = CLOCK_MONOTONIC) noexcept;
 
 /// Before Linux 5.16, a process whose signal dumps core takes along all that share its memory, even
-/// where no core would be written. With true, children end by SIGKILL in place of such a signal.
+/// where no core would be written. With true, children end by SIGKILL in place of any signal.
 /// To be called before the first child.
 void end_children_by_kill(bool enabled) noexcept;
 bool children_end_by_kill() noexcept;
