@@ -17,7 +17,7 @@ from play_launch.cli.output import note, printable, say, table
 from play_launch.config.text import counted, listed
 from play_launch.graph_daemon.contract import STATUS_METHOD
 from play_launch.graph_daemon.graph_client import DEFAULT_TIMEOUT
-from play_launch.postmortem.connections import connections, similar_topic
+from play_launch.supervisor.endpoints import connections, similar_topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -36,9 +36,9 @@ def _parsed(parse: str, text: Any) -> float:
 
 
 def time(about: str, *names: str, default: str = "") -> Any:
-    return typer.Option(
-        *names, parser=duration, metavar="TIME", help=about, show_default=default or False
-    )
+    # typer would write "[default: (10s)]".
+    text = f"{about} Default: {default}." if default else about
+    return typer.Option(*names, parser=duration, metavar="TIME", help=text, show_default=False)
 
 
 def argument(metavar: str, about: str, complete: str = "") -> Any:

@@ -67,7 +67,7 @@ def replay(  # noqa: PLR0917 - options, by name
 
 def demo(
     seconds: Annotated[
-        float, options.time("Stop after this time: 30, 2min.", "--seconds", default="10")
+        float, options.time("Stop after this time: 30, 2min.", "--seconds", default="10s")
     ] = 10.0,
     log_dir: options.LogDir = None,
     quiet: options.Quiet = False,

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Final
 from play_launch.config.resources import nice_limit
 from play_launch.config.values import LARGEST_DOMAIN
 from play_launch.doctor.check_result import CheckResult, fail, ok, size_text, warn
-from play_launch.process.capabilities import Capability, has_capability
 from play_launch.process.cgroups.group import GroupError
 from play_launch.process.cgroups.session import delegated_group
 from play_launch.process.machine import (
@@ -58,6 +57,19 @@ _PORTS_USED: Final = 118
 """By 54 participants of one domain, as many as fit below Linux's ephemeral ports in domain 101."""
 _IFF_MULTICAST: Final = 0x1000
 _DATAGRAM_TIMEOUT: Final = 2.0
+_IPC_LOCK: Final = 14
+"""Number of the capability, see capabilities(7), as the next one."""
+_SYS_NICE: Final = 23
+
+
+def _has_capability(number: int) -> bool:
+    """Whether it is effective; False where that cannot be read."""
+    try:
+        status = Path("/proc/self/status").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
+    found = re.search(r"^CapEff:\s*([0-9a-f]+)$", status, re.MULTILINE)
+    return found is not None and bool(int(found[1], 16) >> number & 1)
 
 
 def kernel() -> CheckResult:
@@ -165,7 +177,7 @@ def real_time() -> CheckResult:
             says = f"switched off in the kernel: {refused}"
             return ok(subject, says, "sysctl kernel.sched_rt_runtime_us=950000")
         of_time = "" if runtime < 0 else f", {100 * runtime / period:.0f} % of the time"
-    if has_capability(Capability.SYS_NICE):
+    if _has_capability(_SYS_NICE):
         return ok(subject, f"priorities up to 99 (CAP_SYS_NICE){of_time}")
     highest = _limit(resource.RLIMIT_RTPRIO)[0]
     if highest == 0:
@@ -175,7 +187,7 @@ def real_time() -> CheckResult:
 
 def nice_values() -> CheckResult:
     limit = _limit(resource.RLIMIT_NICE)[0]
-    lowest = -20 if limit is None or has_capability(Capability.SYS_NICE) else nice_limit(limit)
+    lowest = -20 if limit is None or _has_capability(_SYS_NICE) else nice_limit(limit)
     if lowest > 0:
         return ok("nice values", "none below that of play-launch", _RIGHTS)
     return ok("nice values", f"down to {lowest}")
@@ -183,7 +195,7 @@ def nice_values() -> CheckResult:
 
 def locked_memory() -> CheckResult:
     subject, soft = "locked memory", _limit(resource.RLIMIT_MEMLOCK)[0]
-    if soft is None or has_capability(Capability.IPC_LOCK):
+    if soft is None or _has_capability(_IPC_LOCK):
         return ok(subject, "unlimited")
     return ok(subject, f"{size_text(soft)}; lock_memory and mlockall() need more", _RIGHTS)
 

@@ -29,7 +29,7 @@ _REPORT_INTERVAL: Final = 10.0
 
 
 INTERVAL: Final = 1.0
-"""Seconds from an answer to the next query."""
+"""Seconds between queries. Those of all containers fall together: the supervisor wakes up once."""
 TIMEOUT: Final = 3.0
 """Seconds from a query to the verdict."""
 LAST_PART: Final = 0.5
@@ -81,7 +81,7 @@ class ContainerWatch:
         """Query it again and again; return why it counts as frozen."""
         is_answering = True
         while is_answering:
-            await anyio.sleep(INTERVAL)
+            await anyio.sleep(INTERVAL - anyio.current_time() % INTERVAL)
             self._query_id += 1
             self._answered = anyio.Event()
             self._send(Query(query_id=self._query_id, unique_ids=NO_NODE))

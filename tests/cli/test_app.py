@@ -75,6 +75,7 @@ def test_no_line_of_any_help_is_cut_at_80_columns() -> None:
         for line in below_usage.splitlines():
             assert len(line) <= 80, (words, line)
             assert not re.search(r"[a-z]\.\.\.$", line), (words, line)
+        assert "default: (" not in shown.output, words
         for name in getattr(command, "commands", ()):
             walk(command.commands[name], [*words, name])
 

@@ -98,14 +98,14 @@ def test_limits_of_a_user(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: limits)
-    monkeypatch.setattr(machine, "has_capability", lambda _: False)
+    monkeypatch.setattr(machine, "_has_capability", lambda _: False)
     monkeypatch.setattr(machine, "_text", lambda _: "")
     is_(getattr(machine, check)(), level, words)
 
 
 def test_a_right_is_no_matter_of_limits_for_root(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (0, 0))
-    monkeypatch.setattr(machine, "has_capability", lambda _: True)
+    monkeypatch.setattr(machine, "_has_capability", lambda _: True)
     is_(machine.real_time(), OK, "up to 99 (CAP_SYS_NICE)")
     is_(machine.nice_values(), OK, "down to -20")
     is_(machine.locked_memory(), OK, "unlimited")

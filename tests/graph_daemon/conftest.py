@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -32,11 +33,11 @@ def _no_daemon_is_left(address: DaemonAddress) -> Iterator[None]:
     end_daemons(address.domain)
 
 
-@pytest.fixture(scope="module")
-def scene() -> Iterator[None]:
-    """A system of five nodes."""
+@contextlib.contextmanager
+def system(module: str) -> Iterator[None]:
+    """Run the nodes of a module of this folder."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.graph_daemon.scene"],
+        [sys.executable, "-m", f"tests.graph_daemon.{module}"],
         cwd=ROOT,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -49,6 +50,13 @@ def scene() -> Iterator[None]:
         assert process.stdin is not None
         process.stdin.close()
         assert process.wait(60) == 0
+
+
+@pytest.fixture(scope="module")
+def scene() -> Iterator[None]:
+    """A system of five nodes."""
+    with system("scene"):
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,27 +11,15 @@ import pytest
 
 from play_launch.graph_daemon.contract import DaemonAddress
 from tests.graph_daemon.broken import PAIRS
-from tests.graph_daemon.conftest import ROOT
+from tests.graph_daemon.conftest import system
 from tests.support.replay import COMMAND
 
 
 @pytest.fixture(scope="module")
 def broken(daemon: DaemonAddress) -> Iterator[None]:
     """A system in which little connects."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.graph_daemon.broken"],
-        cwd=ROOT,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
-    with process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"up\n"
+    with system("broken"):
         yield
-        assert process.stdin is not None
-        process.stdin.close()
-        assert process.wait(60) == 0
 
 
 def check(*arguments: str) -> subprocess.CompletedProcess[str]:

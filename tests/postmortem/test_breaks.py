@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import pytest
 
 from play_launch.postmortem import detect
-from play_launch.postmortem.connections import Connections, Mismatch
+from play_launch.postmortem.connections import Connections
 from play_launch.postmortem.detect import bring_up, failures, recording, resources, topics
 from play_launch.postmortem.samples import _is_busy
 from play_launch.postmortem.timeline import Timeline
 from play_launch.postmortem.units import Fault
+from play_launch.supervisor.endpoints import Mismatch
 from play_launch.supervisor.events import NodeState
 from tests.postmortem import test_detect, test_timeline
 from tests.postmortem.scenes import Scene

@@ -6,15 +6,16 @@ import re
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.text import duration, listed
-from play_launch.postmortem.connections import similar_topic
 from play_launch.postmortem.findings import DeclaredPlace, Finding
+from play_launch.supervisor.endpoints import similar_topic
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from play_launch.postmortem.connections import Lack, Mismatch
+    from play_launch.postmortem.connections import Lack
     from play_launch.postmortem.timeline import Timeline
     from play_launch.postmortem.units import Failure
+    from play_launch.supervisor.endpoints import Mismatch
 
 _REPORT: Final = re.compile(
     r"\[(?P<logger>[^\]\s]+)\]: New (?P<other>publisher|subscription) discovered on topic "
