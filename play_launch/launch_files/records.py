@@ -278,7 +278,6 @@ class Losses:
         return iter(self._found)
 
     def add(self, loss: Loss) -> None:
-        """Report something."""
         self._found[loss] = None
 
     def lost(self, where: str, what: str) -> None:

@@ -213,7 +213,6 @@ class CrashGroups:
         self._crashes: dict[Signature, list[_Crash]] = {}
 
     def add(self, timeline: Timeline) -> None:
-        """Take the crashes of a session."""
         version = timeline.session.about.get("play_launch_version", "")
         reader = timeline.session.reader
         for failure in timeline.failures:

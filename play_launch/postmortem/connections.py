@@ -62,7 +62,6 @@ class Connections:
         return (each for every in self._topics.values() for each in every)
 
     def run(self, event: ProcessEvent) -> None:
-        """Take what happened to a process."""
         if event.kind in _ENDS:
             self._running.discard(event.name)
             if not self._running:
@@ -74,7 +73,6 @@ class Connections:
                 self.take(change)
 
     def take(self, event: GraphChanged) -> None:
-        """Take a change of the graph."""
         if self._stopped_ns:
             self._later.append(event)
             return

@@ -43,7 +43,6 @@ class LastLines:
     """A ring for each process and each logger in it: the nodes of a container share its output."""
 
     def __init__(self) -> None:
-        """Begin without lines."""
         self._rings: dict[bytes, dict[bytes, deque[_Line]]] = {}
         self._qos: list[_Line] = []
         self._waiting: list[tuple[int, int, Failure]] = []
@@ -91,7 +90,6 @@ class LastLines:
         return Taken(at, latest)
 
     def _new_ring(self, name: bytes, logger: bytes) -> deque[_Line]:
-        """Begin a ring."""
         rings = self._rings.setdefault(name, {})
         if len(rings) >= MOST_LOGGERS:
             _forget_quiet(rings)

@@ -100,7 +100,6 @@ class Parameters:
     """Takes the messages of a recording one after the other; `nodes` is the result so far."""
 
     def __init__(self) -> None:
-        """Know nothing yet."""
         self.nodes: dict[str, KnownParameters] = {}
         """By full name."""
 

@@ -226,7 +226,6 @@ def read_attachment(content: bytes) -> tuple[Attachment, bool]:
 
 
 def read_chunk(content: bytes) -> bytes:
-    """Return the records in a chunk."""
     try:
         _, _, size, checksum, length = _CHUNK.unpack_from(content)
         name = content[_CHUNK.size : _CHUNK.size + length].decode()

@@ -213,7 +213,6 @@ class Samples:
     """Keeps the samples of a recording, and answers questions about them."""
 
     def __init__(self) -> None:
-        """Begin without samples."""
         self._reader = EqualReader()
         self._ticks: list[_Tick] = []
         self._shapes: dict[ChannelSequence, list[_Shape]] = {}
@@ -232,7 +231,6 @@ class Samples:
         return Taken(begin + len(found.records), found.latest)
 
     def add(self, found: EqualMessages) -> None:
-        """Take samples of processes."""
         records, sequence, _ = found
         if sequence.stride < _RECORD.size:
             return
@@ -249,7 +247,6 @@ class Samples:
             self._thin()
 
     def take_system(self, message: Message) -> None:
-        """Take a sample of the machine."""
         sample = read_machine(message.data)
         if sample is not None:
             self._machine[1:] = [(message.log_time, sample)]

@@ -27,7 +27,6 @@ class PastSession:
     """One pass over a recording, after which `reader` is whole."""
 
     def __init__(self, path: Path) -> None:
-        """Read nothing yet."""
         self.reader = BagReader(path)
 
     @property

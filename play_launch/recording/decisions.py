@@ -97,7 +97,6 @@ class DecisionLog:
         """What stays out of the recording."""
 
     def note(self, event: RunEvent) -> None:
-        """Count an event that is published."""
         self._events += isinstance(event, STATES)
 
     def add(self, now: float, said: Origin | Input | Over, chance: float = 0.0) -> None:

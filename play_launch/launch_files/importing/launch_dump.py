@@ -31,7 +31,6 @@ def is_launch_dump(values: Any) -> bool:
 
 
 def read_launch_dump(values: Mapping[str, Any], losses: Losses) -> Description:
-    """Return the system in a dump."""
     fields = Fields(values, "(top level)", losses)
     variables = dict(fields.pairs("variables"))
     scopes = _scopes(fields.take("scopes"))

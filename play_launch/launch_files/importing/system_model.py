@@ -37,7 +37,6 @@ def is_system_model(values: Any) -> bool:
 
 
 def read_system_model(values: Mapping[str, Any], losses: Losses) -> Description:
-    """Return the system in a model."""
     fields = Fields(values, "(top level)", losses)
     meta = Fields(fields.take("meta") or {}, "meta", losses)
     version = meta.take("version")

@@ -42,7 +42,6 @@ _PACKAGES: Final = ("launch", "launch_ros", "launch_xml", "launch_yaml", "osrf_p
 
 
 def main() -> None:
-    """Answer, and end."""
     job = msgspec.json.decode(sys.argv[1], type=Job)
     # Most of what is made stays: looking for garbage as often as usual takes a tenth of the time.
     gc.set_threshold(_OBJECTS)

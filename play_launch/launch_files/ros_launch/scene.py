@@ -113,12 +113,10 @@ class Scene:
         return f"{kind}{self._numbers}"
 
     def add(self, unit: Unit) -> None:
-        """Take a record."""
         self.causes.note(unit.id)
         self.description.units.append(unit)
 
     def unit(self, name: str) -> Unit:
-        """Return the record with an id."""
         return next(each for each in self.description.units if each.id == name)
 
     def described(self, conditions: Conditions) -> str:

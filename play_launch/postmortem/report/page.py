@@ -49,7 +49,6 @@ def shown(text: str) -> str:
 
 
 def render(page: Contents) -> str:
-    """Give the HTML."""
     dark = _asset("dark.css").replace(":root", ':root[data-theme="dark"]')
     script = '"use strict";\n' + "".join(map(_asset, SCRIPTS))
     parts = {

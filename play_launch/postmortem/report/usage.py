@@ -54,7 +54,6 @@ class Series(Struct):
     _waiting: list[tuple[float, tuple[float, ...]]] = field(default_factory=list)
 
     def add(self, at: float, values: tuple[float, ...]) -> None:
-        """Take one sample."""
         at = max(at, self._last)
         self._last = at
         if self._width == 1:
@@ -138,7 +137,6 @@ class Usage(Struct):
         series.extend(times, columns)
 
     def machine(self, at: float, sample: Mapping[str, Any]) -> None:
-        """Take the fields of a sample of the machine."""
         total = sample["memory_total"]
         used = 100 * (total - sample["memory_available"]) / total if total else nan
         pressures = (sample[f"{name}_some_avg10"] for name in ("cpu", "memory", "io"))
