@@ -89,7 +89,8 @@ def test_reloads_are_bounded(crashing: Replay) -> None:
 
 
 def test_other_nodes_and_the_container_run_on(crashing: Replay) -> None:
-    assert len(processes(crashing, "/lab", "started")) == 1
+    why = [each["message"] for each in crashing.told(event="process", name="/lab")]
+    assert len(processes(crashing, "/lab", "started")) == 1, why
     assert not processes(crashing, "/lab", "restarting")
     (exited,) = processes(crashing, "/lab", "exited")
     assert (exited["exit_code"], exited["signal"]) == (0, 0)
