@@ -25,7 +25,11 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo, TopicEndpointTypeEnum
 
 from play_launch.graph_daemon.contract import GRAPH_METHODS, NODE_PREFIX
 from play_launch.graph_daemon.xml_rpc import register_scalar, register_struct
-from play_launch.ros.fastdds.own_participant import as_our_own, end_participants_safely
+from play_launch.ros.fastdds.own_participant import (
+    announced_when_it_listens,
+    as_our_own,
+    end_participants_safely,
+)
 from play_launch.ros.waiting import Waiting
 from play_launch.supervisor.endpoints import UNCHECKED
 
@@ -64,19 +68,20 @@ class RosGraph:
         self._stopping = threading.Event()
         self._context = Context()
         try:
-            with as_our_own(os.environ, rmw_implementation()):
+            with as_our_own(os.environ, rmw_implementation()) as chosen:
                 rclpy.init(args=[], context=self._context)
                 end_participants_safely()
-                self.node = Node(
-                    f"{NODE_PREFIX}{domain}_{uuid4().hex}",
-                    context=self._context,
-                    start_parameter_services=False,
-                    parameter_overrides=[
-                        Parameter("use_sim_time", value=False),
-                        Parameter("start_type_description_service", value=False),
-                    ],
-                    automatically_declare_parameters_from_overrides=True,
-                )
+                with announced_when_it_listens(chosen):
+                    self.node = Node(
+                        f"{NODE_PREFIX}{domain}_{uuid4().hex}",
+                        context=self._context,
+                        start_parameter_services=False,
+                        parameter_overrides=[
+                            Parameter("use_sim_time", value=False),
+                            Parameter("start_type_description_service", value=False),
+                        ],
+                        automatically_declare_parameters_from_overrides=True,
+                    )
             self.name = str(self.node.get_name())
             """Without its namespace, which is the root."""
             self._watch = Waiting(self.node, on_change)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 FIND_LIMIT: Final = 10.0
 """Seconds until a node counts as one that has no parameter services. DDS takes up to three to
-introduce a new participant to existing ones, and longer on a busy machine; after a shorter
-timeout, nodes would be reloaded without need."""
+introduce a new participant to existing ones where its transport is the user's, and longer on a busy
+machine; after a shorter timeout, nodes would be reloaded without need."""
 ANSWER_LIMIT: Final = 3.0
 """Seconds for the answer of a service that exists."""
 

@@ -16,7 +16,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import anyio
 
-from play_launch.ros.fastdds.own_participant import as_our_own, end_participants_safely
+from play_launch.ros.fastdds.own_participant import (
+    announced_when_it_listens,
+    as_our_own,
+    end_participants_safely,
+)
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Mapping
@@ -277,10 +281,7 @@ class RosThread:
 
 
 class NodePool:
-    """Threads with hidden nodes, one for each domain, each as long as it has users.
-
-    A second participant at the address of the first is introduced to others within seconds only.
-    """
+    """Threads with hidden nodes, one for each domain, each as long as it has users."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -342,18 +343,19 @@ def open_node(name: str, domain_id: int | None = None) -> tuple[Context, Node, s
     # Services are not waited for, and all others would have to discover this one.
     off = Parameter("start_type_description_service", value=False)  # type: ignore[no-untyped-call]
     context, rmw = Context(), get_rmw_implementation_identifier()
-    with as_our_own(os.environ, rmw):
+    with as_our_own(os.environ, rmw) as chosen:
         # A user may have no home for log files.
         context.init(args=["--ros-args", "--disable-external-lib-logs"], domain_id=domain_id)
         end_participants_safely()
-        node = Node(
-            name,
-            context=context,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[off],
-        )
+        with announced_when_it_listens(chosen):
+            node = Node(
+                name,
+                context=context,
+                use_global_arguments=False,
+                enable_rosout=False,
+                start_parameter_services=False,
+                parameter_overrides=[off],
+            )
     return context, node, rmw
 
 

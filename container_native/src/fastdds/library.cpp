@@ -25,4 +25,8 @@ extern "C" {
   return play_launch::fastdds::replace_waits(prefix);
 }
 
+[[gnu::visibility("default")]] void play_launch_withhold_datagrams(int enabled) {
+  play_launch::fastdds::withhold_datagrams(enabled != 0);
+}
+
 }  // extern "C"

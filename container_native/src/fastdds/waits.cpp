@@ -2,6 +2,7 @@
 
 #include <link.h>
 #include <sys/mman.h>
+#include <sys/socket.h>
 #include <unistd.h>
 
 #include <array>
@@ -46,6 +47,8 @@ struct Held {
 };
 constinit thread_local Held held;
 
+constinit thread_local bool withholds = false;
+
 }  // namespace
 
 int timedwait(pthread_cond_t* condition, pthread_mutex_t* mutex, const timespec* deadline) {
@@ -80,6 +83,14 @@ int unlock(pthread_mutex_t* mutex) noexcept {
   return next_unlock.get()(mutex);
 }
 
+void withhold_datagrams(bool enabled) noexcept { withholds = enabled; }
+
+ssize_t sendto(int socket, const void* data, std::size_t size, int flags, const sockaddr* address,
+               socklen_t address_size) noexcept {
+  return withholds ? static_cast<ssize_t>(size)
+                   : ::sendto(socket, data, size, flags, address, address_size);
+}
+
 namespace {
 
 #if defined(__x86_64__)
@@ -96,7 +107,10 @@ std::uintptr_t replacement(std::string_view name) noexcept {
   if (name == "pthread_mutex_timedlock") {
     return reinterpret_cast<std::uintptr_t>(&timedlock);
   }
-  return name == "pthread_mutex_unlock" ? reinterpret_cast<std::uintptr_t>(&unlock) : 0;
+  if (name == "pthread_mutex_unlock") {
+    return reinterpret_cast<std::uintptr_t>(&unlock);
+  }
+  return name == "sendto" ? reinterpret_cast<std::uintptr_t>(&sendto) : 0;
 }
 
 bool is_in_read_only_part(const dl_phdr_info& object, std::uintptr_t address) noexcept {

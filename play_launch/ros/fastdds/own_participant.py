@@ -7,7 +7,8 @@ thread of events, with a lock that publishers need. So each command that reads t
 node held up all nodes of a system for up to 0.33 s. The messages exchanged are small.
 
 **Early.** They announce themselves every 0.2 s instead of every 3 s, and with LOCALHOST to the
-first 63 participants of a domain instead of 32.
+first 63 participants of a domain instead of 32. The first announcement, which Fast DDS sends before
+it can receive the answers, is withheld: existing participants answer the second one.
 
 **With an end.** Where a participant is destroyed while one of its discovery callbacks runs, Fast
 DDS of the ROS wheels may wait in a loop that keeps the mutex from that callback, for seconds or
@@ -34,7 +35,7 @@ from play_launch.config.substitutions import ament_prefixes
 from play_launch.ros.fastdds.middleware import files_here, is_fastdds, profile_in_use
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
 TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
 _PROFILE: Final = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -127,16 +128,39 @@ def end_participants_safely(libraries: tuple[str, ...] = _LIBRARIES) -> int:
     Does nothing with another middleware, and where our own library is not installed. Returns in how
     many it was done.
     """
+    replace = _own_function("play_launch_replace_waits")
+    return 0 if replace is None else sum(replace(os.fsencode(name)) for name in libraries)
+
+
+@contextlib.contextmanager
+def announced_when_it_listens(chosen: OwnParticipant | None) -> Iterator[None]:
+    """Send nothing while a participant is made in the block, by this thread.
+
+    To be used behind `end_participants_safely`; without effect where the transport is not ours.
+    """
+    withhold = _own_function("play_launch_withhold_datagrams")
+    if withhold is None or chosen is None or not chosen.own_transport:
+        yield
+        return
+    withhold(1)
+    try:
+        yield
+    finally:
+        withhold(0)
+
+
+def _own_function(name: str) -> Callable[..., int] | None:
+    """Find a function of our own library, which is loaded for it."""
     for prefix in (Path(sys.prefix), *ament_prefixes(os.environ)):
         path = prefix / _WAITS
         try:
-            replace = ctypes.CDLL(os.fspath(path)).play_launch_replace_waits
+            function: Callable[..., int] = getattr(ctypes.CDLL(os.fspath(path)), name)
         except (OSError, AttributeError) as error:  # AttributeError: it is of another version
             if path.exists():
                 _log.debug("%s cannot be used: %s", path, error)
             continue
-        return sum(replace(os.fsencode(name)) for name in libraries)
-    return 0
+        return function
+    return None
 
 
 def _profile(chosen: OwnParticipant) -> str:
@@ -153,6 +177,7 @@ _TRANSPORT: Final = """
         <transport_id>play_launch_udp</transport_id>
         <type>UDPv4</type>
         <maxInitialPeersRange>63</maxInitialPeersRange>
+        <receiveBufferSize>4194304</receiveBufferSize>
       </transport_descriptor>
     </transport_descriptors>"""
 """The 64th participant of domain 232 has no port; Fast DDS exits a process that computes it."""

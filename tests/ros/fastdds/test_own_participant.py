@@ -132,6 +132,66 @@ for domain in (0, 232):
     subprocess.run([sys.executable, "-c", program], check=True, env=environment, timeout=TIMEOUT)
 
 
+SILENT = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <profiles>
+    <participant profile_name="silent" is_default_profile="true">
+      <rtps>
+        <builtin>
+          <discovery_config>
+            <initialAnnouncements><count>0</count></initialAnnouncements>
+            <leaseDuration><sec>7200</sec></leaseDuration>
+            <leaseAnnouncement><sec>3600</sec></leaseAnnouncement>
+          </discovery_config>
+        </builtin>
+      </rtps>
+    </participant>
+  </profiles>
+</dds>
+"""
+"""A participant that announces itself when it is made, and answers announcements of others."""
+SILENT_NODES = """
+import sys
+from tests.support.ros import Node, begin
+contexts = [begin() for _ in range(8)]
+nodes = [Node(f"silent_{number}", context=each) for number, each in enumerate(contexts)]
+print("up", flush=True)
+sys.stdin.read()
+for node, context in zip(nodes, contexts):
+    node.destroy_node()
+    context.try_shutdown()
+"""
+ANSWERS = """
+import asyncio
+from play_launch.ros.thread import RosThread
+async def meet():
+    ros = RosThread("meets")
+    ros.begin()
+    async with asyncio.timeout(20):
+        await ros.until(lambda node: sum("silent" in name for name in node.get_node_names()) == 8)
+    ros.close()
+asyncio.run(meet())
+"""
+
+
+def test_what_exists_already_is_discovered_by_its_answers_alone(tmp_path: Path) -> None:
+    """Not only when it announces itself the next time: that takes 3 s, and here an hour."""
+    profile = tmp_path / "silent.xml"
+    profile.write_text(SILENT)
+    there = [sys.executable, "-c", SILENT_NODES]
+    environment = os.environ | {VARIABLE: str(profile)}
+    with subprocess.Popen(
+        there, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
+    ) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == b"up\n"
+        try:
+            for _ in range(3):
+                subprocess.run([sys.executable, "-c", ANSWERS], check=True, timeout=TIMEOUT)
+        finally:
+            program.communicate(timeout=TIMEOUT)
+
+
 @pytest.mark.skipif(not permitted(), reason="this kernel permits no network namespace")
 def test_an_existing_node_is_discovered_by_multicast() -> None:
     assert met("SUBNET", network=True) == ["met over UDP"]
