@@ -72,7 +72,7 @@ class TraceMaker:
         self._timeline, self._file = timeline, file
         self._separator = "\n"
         self._started_ns: int | None = None
-        """From when on times count: the first message comes after what says so."""
+        """Where times begin: the first message comes after the one that tells it."""
         self._marked = 0
         self._processes: dict[str, int] = {}
         self._tracks: dict[tuple[str, str], Track] = {}

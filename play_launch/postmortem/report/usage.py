@@ -128,7 +128,7 @@ class Usage(Struct):
     def process(
         self, row: int, kind: int, times: Sequence[float], *columns: Sequence[float]
     ) -> None:
-        """Take samples of a process: percent of a core, bytes; ``kind`` says what these count."""
+        """Take samples of a process: percent of a core, and bytes of this ``kind`` of memory."""
         series = self.of_rows.get(row)
         if series is None:
             series = self.of_rows[row] = _series(PROCESS_COLUMNS)

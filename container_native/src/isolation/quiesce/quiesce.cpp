@@ -43,8 +43,8 @@ constexpr int kLeastLooks = 8;
 /// How often to look carefully at one thread. If it was never in a place that is known to be
 /// harmless, it hardly ever is: its code has no exported names, and more looks show no more.
 constexpr int kCarefulLooks = 5;
-/// How many times the limit to wait for threads that were not looked at so often, for want of a
-/// processor or of its speed: nothing is known of them, they may be in the middle of anything.
+/// How many times the limit to wait for threads that were not looked at so often because processors
+/// are short or slow: nothing is known of them, they may be in the middle of anything.
 constexpr int kTerminateAfter = 20;
 
 nanoseconds now() noexcept {
