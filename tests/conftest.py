@@ -73,9 +73,11 @@ os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.pop("ROS_LOCALHOST_ONLY", None)
 load_interfaces()
-# What a shell starts in the background ignores these, and so would all that the tests start.
+# What a shell starts in the background, or nohup, ignores these, and so would all that the tests
+# start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGQUIT, signal.SIG_DFL)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # The time of an example means nothing where other tests run at the same time. The same tree is
 # tried with the same examples; `--hypothesis-profile search` looks for others.
