@@ -25,11 +25,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo, TopicEndpointTypeEnum
 
 from play_launch.graph_daemon.contract import GRAPH_METHODS, NODE_PREFIX
 from play_launch.graph_daemon.xml_rpc import register_scalar, register_struct
-from play_launch.ros.fastdds.own_participant import (
-    announced_when_it_listens,
-    as_our_own,
-    end_participants_safely,
-)
+from play_launch.ros.fastdds.own_participant import as_our_own, made_safely
 from play_launch.ros.waiting import Waiting
 from play_launch.supervisor.endpoints import UNCHECKED
 
@@ -70,8 +66,7 @@ class RosGraph:
         try:
             with as_our_own(os.environ, rmw_implementation()) as chosen:
                 rclpy.init(args=[], context=self._context)
-                end_participants_safely()
-                with announced_when_it_listens(chosen):
+                with made_safely(chosen):
                     self.node = Node(
                         f"{NODE_PREFIX}{domain}_{uuid4().hex}",
                         context=self._context,

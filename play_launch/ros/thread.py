@@ -16,11 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import anyio
 
-from play_launch.ros.fastdds.own_participant import (
-    announced_when_it_listens,
-    as_our_own,
-    end_participants_safely,
-)
+from play_launch.ros.fastdds.own_participant import as_our_own, made_safely
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Mapping
@@ -346,8 +342,7 @@ def open_node(name: str, domain_id: int | None = None) -> tuple[Context, Node, s
     with as_our_own(os.environ, rmw) as chosen:
         # A user may have no home for log files.
         context.init(args=["--ros-args", "--disable-external-lib-logs"], domain_id=domain_id)
-        end_participants_safely()
-        with announced_when_it_listens(chosen):
+        with made_safely(chosen):
             node = Node(
                 name,
                 context=context,

@@ -133,11 +133,13 @@ def end_participants_safely(libraries: tuple[str, ...] = _LIBRARIES) -> int:
 
 
 @contextlib.contextmanager
-def announced_when_it_listens(chosen: OwnParticipant | None) -> Iterator[None]:
-    """Send nothing while a participant is made in the block, by this thread.
+def made_safely(chosen: OwnParticipant | None) -> Iterator[None]:
+    """Make a participant in the block, by this thread, with our waits and announced after it.
 
-    To be used behind `end_participants_safely`; without effect where the transport is not ours.
+    To be used once the middleware is loaded. Only where the transport is ours, the announcement is
+    withheld.
     """
+    end_participants_safely()
     withhold = _own_function("play_launch_withhold_datagrams")
     if withhold is None or chosen is None or not chosen.own_transport:
         yield

@@ -16,11 +16,10 @@ def anyio_backend() -> str:
 @pytest.fixture(autouse=True)
 def _loop_is_never_blocked() -> Iterator[None]:
     with blockbuster_ctx("play_launch") as blockbuster:
-        # Popen waits for the exec of its vforked child. The guard of the session answers as fast
-        # as a fork; what it gets is a file in memory.
+        # Popen waits for the exec of its vforked child. What the guard of the session gets is a
+        # file in memory.
         functions = blockbuster.functions
         functions["os.read"].can_block_in("subprocess.py", "_execute_child")
-        functions["socket.socket.recv"].can_block_in("process/guard.py", "_ask")
         functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_command_file")
         for name in ("os.stat", "os.access"):
             functions[name].can_block_in("process/guard.py", "check_program")
