@@ -45,7 +45,7 @@ def about_the_graph() -> list[Call]:
     found += [(method, list(node)) for method in BY_NODE for node in NODES]
     found += [("get_publisher_names_and_types_by_node", ["talker", "/", True])]
     found += [("get_subscriber_names_and_types_by_node", ["listener", "/", True])]
-    found += [(method, [topic]) for method in BY_TOPIC for topic in (*TOPICS, "/absent", "chatter")]
+    found += [(method, [topic]) for method in BY_TOPIC for topic in (*TOPICS, "/nobody", "chatter")]
     found += [(method, ["rt/chatter", True]) for method in BY_TOPIC]
     found += [(method, ["/rosout", False]) for method in BY_TOPIC]
     found += [(method, [name]) for method in COUNTS for name in (*TOPICS, SERVICE, "chatter")]
@@ -69,7 +69,7 @@ def mistakes() -> list[Call]:
     ]
     found += [(method, [1]) for method in ALL_AT_ONCE if method != "get_topic_names_and_types"]
     found += [(method, []) for method in BY_NODE]
-    found += [(method, ["absent", "/"]) for method in BY_NODE]
+    found += [(method, ["nobody", "/"]) for method in BY_NODE]
     found += [(method, ["talker", "nowhere"]) for method in BY_NODE]
     found += [(method, ["bad name", "/"]) for method in BY_NODE]
     found += [
