@@ -9,9 +9,8 @@ import logging
 import threading
 import time
 from collections import Counter
-from concurrent.futures import Future
 from functools import partial
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final
 
 from play_launch import UserError
 from play_launch.graph_daemon.contract import (
@@ -29,6 +28,7 @@ from play_launch.graph_daemon.graph_client import (
     RemoteError,
 )
 from play_launch.graph_daemon.start_stop import start_daemon
+from play_launch.process.session import in_a_thread
 from play_launch.supervisor.events import GraphChanged
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from play_launch.graph_daemon.contract import DaemonAddress
     from play_launch.supervisor.endpoints import Endpoint
 
-_Result = TypeVar("_Result")
 
 POLL: Final = 0.5
 """Seconds between two queries while the graph changes."""
@@ -80,7 +79,7 @@ async def observe_graph(
         earliest = loop.time() + BETWEEN_STARTS
         try:
             # Listening is enough: requests wait for the graph by themselves.
-            started = await _in_a_thread(
+            started = await in_a_thread(
                 partial(
                     start_daemon,
                     address,
@@ -139,7 +138,7 @@ class _Observer:
         """Publish what has changed since the last poll; return whether to poll again soon."""
         try:
             generation_known = str(self._generation)
-            text = await _in_a_thread(partial(self._client.call, STATUS_METHOD, generation_known))
+            text = await in_a_thread(partial(self._client.call, STATUS_METHOD, generation_known))
             if not text:
                 self._warning = ""
                 return False
@@ -149,7 +148,7 @@ class _Observer:
             # Before that the list is not complete, which is no change of the graph.
             if not status["warm"]:
                 return True
-            nodes = await _in_a_thread(self._client.nodes)
+            nodes = await in_a_thread(self._client.nodes)
             endpoints = await self._query_endpoints()
         except _GONE:
             raise
@@ -179,7 +178,7 @@ class _Observer:
         if not self._reports_endpoints:
             return self._endpoints
         try:
-            every = await _in_a_thread(self._client.endpoints)
+            every = await in_a_thread(self._client.endpoints)
         except RemoteError as error:
             if "no method of the graph" not in error.text:  # an older daemon's answer
                 raise DaemonError(str(error)) from error
@@ -194,18 +193,3 @@ class _Observer:
             self._reports_endpoints = False
             return Counter()
         return Counter(each for each in every if not each.node.startswith(_OWN_ENDPOINTS))
-
-
-def _in_a_thread(work: Callable[[], _Result]) -> asyncio.Future[_Result]:
-    """Run it in a thread that the exit does not join: a daemon may need a minute to start."""
-    done: Future[_Result] = Future()
-    done.set_running_or_notify_cancel()
-
-    def run() -> None:
-        try:
-            done.set_result(work())
-        except Exception as error:  # noqa: BLE001 - it is raised where it is awaited
-            done.set_exception(error)
-
-    threading.Thread(target=run, name="graph daemon", daemon=True).start()
-    return asyncio.wrap_future(done)

@@ -23,6 +23,7 @@ from play_launch.process.lines import LineReader, OutputCallback
 from play_launch.process.machine import explained
 from play_launch.process.session import (
     group_members,
+    in_a_thread,
     session_members,
     signal_each,
     wait_all_ended,
@@ -317,7 +318,7 @@ async def spawn(
         SpawnError: When it cannot be started: no such program, not executable, too many open
             files. What fails after the guard has taken over appears as exit status 126 or 127.
     """
-    check_program(argv, env, cwd)
+    await in_a_thread(partial(check_program, argv, env, cwd))
     if mark:
         env = {**env, MEMBER_VARIABLE: mark}
     with ExitStack() as opened:

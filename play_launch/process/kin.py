@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import itertools
 import logging
-import threading
 import time
 from collections import defaultdict
 from contextlib import suppress
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.process.identity import parse_stat
+from play_launch.process.session import in_a_thread
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -87,7 +87,7 @@ async def _marks_of(processes: Sequence[ProcessStat]) -> dict[ProcessIdentity, s
     """Read marks; those that cannot be read are left out.
 
     A process that waits for a disk may block readers of its memory without limit. So it is
-    read in a thread that the end of the program does not wait for.
+    read in a thread.
     """
     found: dict[ProcessIdentity, str] = {}
     todo = [each for each in processes if each.identity not in _unreadable]
@@ -105,20 +105,13 @@ async def _marks_of(processes: Sequence[ProcessStat]) -> dict[ProcessIdentity, s
 async def _read_in_time(
     processes: Sequence[ProcessStat], found: dict[ProcessIdentity, str]
 ) -> bool:
-    loop = asyncio.get_running_loop()
-    done = asyncio.Event()
-
     def read() -> None:
         for each in processes:
             found[each.identity] = mark_of(each.pid)
-        with suppress(RuntimeError):  # the loop is closed
-            loop.call_soon_threadsafe(done.set)
 
-    threading.Thread(target=read, name="environments", daemon=True).start()
     with suppress(TimeoutError):
-        async with asyncio.timeout(_LONGEST_READ):
-            await done.wait()
-    return done.is_set() or all(each.identity in found for each in processes)
+        await asyncio.wait_for(in_a_thread(read), _LONGEST_READ)
+    return all(each.identity in found for each in processes)
 
 
 def below(table: Collection[ProcessStat], roots: Collection[int]) -> list[ProcessStat]:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import os
-from contextlib import ExitStack
+import threading
+from contextlib import ExitStack, suppress
+from functools import partial
 from typing import TYPE_CHECKING, Final, Generic, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -57,6 +59,26 @@ class Shared(Generic[_Result]):
             await asyncio.wait({before})
         self._running, self._next = self._next, None
         return await self._work()
+
+
+def in_a_thread(work: Callable[[], _Result]) -> asyncio.Future[_Result]:
+    """Do work that the kernel may hold up without limit: a mount or a process does not answer.
+
+    In a daemon thread: one of an executor would prevent the exit of the program.
+    """
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[_Result] = loop.create_future()
+
+    def run() -> None:
+        try:
+            settle = partial(done.set_result, work())
+        except Exception as error:  # noqa: BLE001 - it is raised where it is awaited
+            settle = partial(done.set_exception, error)
+        with suppress(RuntimeError):  # the loop is closed
+            loop.call_soon_threadsafe(lambda: None if done.done() else settle())
+
+    threading.Thread(target=run, daemon=True).start()
+    return done
 
 
 async def _scan() -> list[ProcessStat]:

@@ -48,7 +48,7 @@ from play_launch.process.machine import (
     full_shared_memory,
     shared_memory_problem,
 )
-from play_launch.process.session import Shared
+from play_launch.process.session import Shared, in_a_thread
 from play_launch.process.stop import StopPolicy
 from play_launch.recording.facts import OURSELVES, package_version
 from play_launch.ros.fastdds.middleware import asks_for_fastdds
@@ -236,11 +236,11 @@ class NativeLauncher:
         if config.attach:
             assert self._stock is not None
             return self._stock.attach(config)
-        try:
-            file = self._parameters.of(config)
-            command = container_command(config, self._machine, file, ask=self.policy.ask)
-        except (ExecutableNotFoundError, ParameterFileError) as error:
-            raise StartError(str(error), permanent=True) from error
+        command = await _made(
+            lambda: container_command(
+                config, self._machine, self._parameters.of(config), ask=self.policy.ask
+            )
+        )
         if config.container_type is ContainerType.STOCK:
             assert self._stock is not None
             process = await self._spawn(command, on_output, config)
@@ -265,8 +265,8 @@ class NativeLauncher:
     async def library_of(self, container: ContainerConfig, node: ComposableNodeConfig) -> str:
         """Find the library in the ament index that the container uses; empty: it has none."""
         prefixes = ament_prefixes(container_environment(container, self._machine))
-        found = await asyncio.to_thread(component_library, node.package, node.plugin, prefixes)
-        return str(found or "")
+        find = partial(component_library, node.package, node.plugin, prefixes)
+        return str(await in_a_thread(find) or "")
 
     async def start_probe(
         self, container: ContainerConfig, node: ComposableNodeConfig, on_output: OutputCallback
@@ -276,10 +276,9 @@ class NativeLauncher:
 
     async def start_process(self, config: ProcessConfig, on_output: OutputCallback) -> Child:
         """Start an ordinary executable; raises StartError."""
-        try:
-            command = process_command(config, self._machine, self._parameters.of(config))
-        except (ExecutableNotFoundError, ParameterFileError, ValueError) as error:
-            raise StartError(str(error), permanent=True) from error
+        command = await _made(
+            lambda: process_command(config, self._machine, self._parameters.of(config))
+        )
         return await self._spawn(command, on_output, config)
 
     async def clean_up(self) -> None:
@@ -342,6 +341,14 @@ class NativeLauncher:
             raise StartError(str(error), permanent=error.errno not in _PASSING) from error
         except OSError as error:
             raise StartError(f"no guard: {error.strerror}", permanent=False) from error
+
+
+async def _made(make: Callable[[], Command]) -> Command:
+    """Make a command, for which programs are looked up; raises StartError."""
+    try:
+        return await in_a_thread(make)
+    except (ExecutableNotFoundError, ParameterFileError, ValueError) as error:
+        raise StartError(str(error), permanent=True) from error
 
 
 def _participants(config: ReplayConfig) -> int:

@@ -6,11 +6,13 @@ import asyncio
 import logging
 import os.path
 import re
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import anyio
 
 from play_launch.config.dependency import ABOUT_GRAPH, Condition
+from play_launch.process.session import in_a_thread
 from play_launch.supervisor.events import ManagedState, OutputLine
 from play_launch.supervisor.inputs import Found, GoalReported, ManagedInput
 
@@ -26,7 +28,6 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-_FILES: Final = frozenset({Condition.FILE})
 _FILE_POLL: Final = 0.1
 """Seconds between two checks of files that are waited for."""
 _INPUT_OF_STATE: Final = {
@@ -60,7 +61,8 @@ class Outside:
         self._watched: frozenset[tuple[Condition, str]] = frozenset()
         self._met: frozenset[tuple[Condition, str, str]] = frozenset()
         self._patterns: dict[str, dict[str, re.Pattern[str]]] = {}
-        self._more_files = asyncio.Event()
+        self._looked_for: set[str] = set()
+        """Files with a task that looks for them; it is held up where a mount does not answer."""
 
     def expect(self, rules: Iterable[StartRule]) -> None:
         """Search output for the patterns of these rules, from now on."""
@@ -78,8 +80,16 @@ class Outside:
         files = frozenset(path for condition, path in wanted if condition is Condition.FILE)
         if files != self._files:
             self._files = files
-            self._more_files.set()
-            self._see_files(files.intersection(path for _, _, path in self._met))
+            self._post(
+                frozenset(
+                    (condition, unit, subject)
+                    for condition, unit, subject in self._met
+                    if condition is not Condition.FILE or subject in files
+                )
+            )
+            for path in files - self._looked_for:
+                self._looked_for.add(path)
+                self._system.tasks.begin(partial(self._look_for, path))
         watched = frozenset(each for each in wanted if each[0] in ABOUT_GRAPH)
         if watched != self._watched:
             self._watched = watched
@@ -88,26 +98,21 @@ class Outside:
                 self._graph = self._system.ros.watch_graph(self._see_graph)
             self._graph.watch(watched)
 
-    async def run(self) -> None:
-        """Check files as long as some are waited for."""
-        while True:
-            await self._more_files.wait()
-            self._more_files.clear()
-            while self._files:
-                found = [path for path in self._files if await _exists(path)]
-                self._see_files(frozenset(found) & self._files)
+    async def _look_for(self, path: str) -> None:
+        """Look for a file as long as it is waited for; EACCES, EIO and the like count as no."""
+        try:
+            while path in self._files:
+                is_there = await in_a_thread(partial(os.path.exists, path))
+                about, met = (Condition.FILE, "", path), self._met
+                if path in self._files:
+                    self._post(met | {about} if is_there else met - {about})
                 await anyio.sleep(_FILE_POLL)
-
-    def _see_files(self, found: frozenset[str]) -> None:
-        self._see(_FILES, frozenset((Condition.FILE, path) for path in found))
+        finally:
+            self._looked_for.discard(path)
 
     def _see_graph(self, found: frozenset[tuple[Condition, str]]) -> None:
-        self._see(ABOUT_GRAPH, found & self._watched)
-
-    def _see(self, kinds: frozenset[Condition], found: frozenset[tuple[Condition, str]]) -> None:
-        """Note what is found of some kinds of conditions."""
-        met = frozenset(each for each in self._met if each[0] not in kinds)
-        self._post(met | {(kind, "", subject) for kind, subject in found})
+        others = frozenset(each for each in self._met if each[0] not in ABOUT_GRAPH)
+        self._post(others | {(kind, "", subject) for kind, subject in found & self._watched})
 
     def _post(self, met: frozenset[tuple[Condition, str, str]]) -> None:
         if met != self._met:
@@ -127,12 +132,6 @@ class Outside:
         for text in [text for text, pattern in patterns.items() if pattern.search(event.text)]:
             del patterns[text]
             self._post(self._met | {(Condition.LOG, event.process, text)})
-
-
-async def _exists(path: str) -> bool:
-    """Whether a file can be seen; EACCES, EIO and the like count as no."""
-    # A mount that does not answer must not hold up the stop.
-    return await anyio.to_thread.run_sync(os.path.exists, path, abandon_on_cancel=True)
 
 
 class Conversation:

@@ -346,7 +346,6 @@ class System:
         try:
             async with anyio.create_task_group() as tasks:
                 self.tasks.run_in(tasks)
-                self.tasks.begin(self.outside.run)
                 if not self.stop_requests.requested.is_set():
                     self.post(inputs.Time())
                 with anyio.CancelScope(deadline=math.inf if until is None else until):

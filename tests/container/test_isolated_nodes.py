@@ -80,7 +80,7 @@ def test_every_node_is_a_process(spawn: StartContainer, mode: str, mechanism: st
         assert is_gone(first.pid)
         with pytest.raises(ProcessLookupError):
             os.kill(first.pid, 0)
-        assert children(container) == {event.pid for event in others}
+        assert only_these_remain(container, *(event.pid for event in others))
         assert {node.unique_id for node in container.status().nodes} == {
             event.unique_id for event in others
         }

@@ -15,7 +15,7 @@ import pytest
 
 from play_launch.ros.fastdds.shared_memory import SHARED_MEMORY
 from tests.support.loopback_network import permitted
-from tests.support.mounts import NO_PROC, mounted, small_shared_memory
+from tests.support.mounts import NO_PROC, hung, mounted, small_shared_memory
 from tests.support.replay import COMMAND, replaying
 from tests.support.scenes import container, node, written
 from tests.support.shared_memory import segments_of
@@ -283,3 +283,31 @@ def test_profile(profile: str, expected: list[int], tmp_path: Path) -> None:
     assert sizes == expected
     assert replay.process.returncode == 130
     assert not left
+
+
+def test_a_mount_that_does_not_answer_holds_up_only_what_needs_it(tmp_path: Path) -> None:
+    there, mark = tmp_path / "there", tmp_path / "mark"
+    with hung(tmp_path / "hung") as mount:
+        nodes: list[dict[str, Any]] = [
+            {"name": "program", "command": [f"{mount}/program"]},
+            {"name": "path", "command": ["no-such"], "environment": {"PATH": f"{mount}:/bin"}},
+            {"name": "folder", "command": ["sleep", "600"], "cwd": str(mount / "folder")},
+            {"name": "prefix", "package": "p", "executable": "e"},
+            {"name": "file", "command": ["true"], "depends_on": [{"file": str(mount / "file")}]},
+            {
+                "name": "after",
+                "command": ["touch", str(mark)],
+                "depends_on": [{"file": str(there)}],
+            },
+        ]
+        nodes[3]["environment"] = {"AMENT_PREFIX_PATH": str(mount)}
+        config = configuration(tmp_path, nodes=nodes, stop={"sigint": 1, "sigterm": 1})
+        with replaying(config, tmp_path / "logs") as system:
+            system.read_until_up("/talker")
+            there.touch()
+            system.until(event="process", name="/after", kind="exited")
+            assert mark.exists()
+            system.process.send_signal(signal.SIGINT)
+            events = system.read_all()
+            assert system.process.returncode == 130
+    assert events[-1]["event"] == "summary"

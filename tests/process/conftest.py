@@ -23,16 +23,13 @@ def anyio_backend() -> str:
 @pytest.fixture(autouse=True)
 def _loop_is_never_blocked() -> Iterator[None]:
     with blockbuster_ctx("play_launch") as blockbuster:
-        # Popen waits for the exec of its vforked child, and spawn looks for the program: neither
-        # can wait for anything but the file system.
+        # Popen waits for the exec of its vforked child.
         blockbuster.functions["os.read"].can_block_in("subprocess.py", "_execute_child")
         # What the guard of the session gets is a file in memory.
         write = blockbuster.functions["io.BufferedWriter.write"]
         write.can_block_in("process/guard.py", "_command_file")
         # The kernel lists the threads of a process from memory.
         blockbuster.functions["os.listdir"].can_block_in("process/time_slice.py", "_threads")
-        for name in ("os.stat", "os.access"):
-            blockbuster.functions[name].can_block_in("process/guard.py", "check_program")
         yield
 
 

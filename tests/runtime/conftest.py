@@ -33,8 +33,7 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
 @pytest.fixture(autouse=True)
 def _loop_is_never_blocked() -> Iterator[None]:
     with blockbuster_ctx("play_launch") as blockbuster:
-        # Popen waits for the exec of its vforked child, and a program is looked for in folders:
-        # neither can wait for anything but the file system.
+        # Popen waits for the exec of its vforked child.
         blockbuster.functions["os.read"].can_block_in("subprocess.py", "_execute_child")
         # What the guard of the session gets is a file in memory.
         write = blockbuster.functions["io.BufferedWriter.write"]
@@ -44,10 +43,6 @@ def _loop_is_never_blocked() -> Iterator[None]:
         listdir.can_block_in("process/processor_wait.py", "thread_wait")
         listdir.can_block_in("process/processor_wait.py", "processor_wait")
         listdir.can_block_in("process/time_slice.py", "_threads")
-        for name in ("os.stat", "os.access"):
-            blockbuster.functions[name].can_block_in("process/guard.py", "check_program")
-            blockbuster.functions[name].can_block_in("container/command.py", "find_executable")
-            blockbuster.functions[name].can_block_in("container/command.py", "process_command")
         yield
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import os
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -36,3 +38,23 @@ def disk_of(size: str, folder: Path) -> Iterator[Path]:
         yield folder
     finally:
         subprocess.run(["umount", str(folder)], check=True)
+
+
+@contextlib.contextmanager
+def hung(folder: Path) -> Iterator[Path]:
+    """Give ``folder``, made for the block, as a mount whose server never answers."""
+    folder.mkdir()
+    try:
+        server = os.open("/dev/fuse", os.O_RDWR | os.O_CLOEXEC)
+    except OSError as error:
+        pytest.skip(f"needs FUSE: {error}")
+    libc = ctypes.CDLL(None, use_errno=True)
+    options = f"fd={server},rootmode=40000,user_id=0,group_id=0"
+    if libc.mount(b"hung", os.fsencode(folder), b"fuse", 0, options.encode()) != 0:
+        os.close(server)
+        pytest.skip(f"mounting needs privileges: {os.strerror(ctypes.get_errno())}")
+    try:
+        yield folder
+    finally:
+        os.close(server)  # what waits for it gets ENOTCONN
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)

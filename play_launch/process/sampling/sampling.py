@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
-import threading
 import time
 from functools import partial
 from typing import TYPE_CHECKING, Final, TypeVar
@@ -13,6 +11,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 from play_launch.process.sampling.groups import GroupSampler
 from play_launch.process.sampling.machine import MachineSampler
 from play_launch.process.sampling.processes import Sampler, targets
+from play_launch.process.session import in_a_thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,16 +42,14 @@ async def sample(
     loop = asyncio.get_running_loop()
     has_failed = False
     try:
-        machine, sampler = await _in_a_thread(lambda: MachineSampler(folder)), Sampler()
+        machine, sampler = await _taken(lambda: MachineSampler(folder)), Sampler()
         groups = GroupSampler()
         due = loop.time() + period
         while True:
             await asyncio.sleep(due - loop.time())
             due = next_due(due, loop.time(), period)
             try:
-                samples, news = await _in_a_thread(
-                    partial(_measure, machine, sampler, groups, view())
-                )
+                samples, news = await _taken(partial(_measure, machine, sampler, groups, view()))
             except OSError as error:  # for example EMFILE
                 if not has_failed:
                     _log.warning("samples are missing: %s", error)
@@ -88,24 +85,9 @@ def _measure(
     return samples, news
 
 
-async def _in_a_thread(work: Callable[[], _Result]) -> _Result:
-    """Run in a daemon thread, as the kernel may block a reader of ``/proc``.
-
-    A thread of an executor would then prevent the exit of the program.
-    """
-    loop = asyncio.get_running_loop()
-    done: asyncio.Future[_Result] = loop.create_future()
-
-    def run() -> None:
-        try:
-            settle = partial(done.set_result, work())
-        except Exception as error:  # noqa: BLE001 - it is raised where it is awaited
-            settle = partial(done.set_exception, error)
-        with contextlib.suppress(RuntimeError):  # the loop is closed
-            loop.call_soon_threadsafe(lambda: None if done.done() else settle())
-
-    threading.Thread(target=run, name="sampling", daemon=True).start()
-    await asyncio.wait([done], timeout=_REPORT_AFTER)
-    if not done.done():
+async def _taken(work: Callable[[], _Result]) -> _Result:
+    taken = in_a_thread(work)
+    await asyncio.wait([taken], timeout=_REPORT_AFTER)
+    if not taken.done():
         _log.warning("a sample takes longer than %g s: a process does not answer", _REPORT_AFTER)
-    return await done
+    return await taken

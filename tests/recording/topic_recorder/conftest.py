@@ -21,6 +21,4 @@ def _loop_is_never_blocked() -> Iterator[None]:
         functions = blockbuster.functions
         functions["os.read"].can_block_in("subprocess.py", "_execute_child")
         functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_command_file")
-        for name in ("os.stat", "os.access"):
-            functions[name].can_block_in("process/guard.py", "check_program")
         yield
