@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import time
 from pathlib import Path
@@ -19,7 +20,8 @@ from tests.support.isolated import (
 )
 from tests.support.shared_memory import segments_of
 
-UNLOADED, LOADING = ComponentEvent.UNLOADED, ComponentEvent.LOADING
+CRASHED, UNLOADED = ComponentEvent.CRASHED, ComponentEvent.UNLOADED
+LOADING = ComponentEvent.LOADING
 FOREVER = {"seconds": 3600.0}
 
 
@@ -78,6 +80,14 @@ def test_a_stop_unloads_everything(
             container.receive()
     assert container.wait() == 0
     assert_nothing_left(pids, own)
+
+
+def test_a_stop_amid_the_cleanup_after_a_crash_ends_with_it(spawn: StartContainer) -> None:
+    container = start(spawn, failpoints="container.during_cleanup=delay:300")
+    os.kill(container.loaded("Talker").pid, signal.SIGKILL)
+    container.event(CRASHED)
+    assert container.shut_down() == 0
+    assert "takes too long" not in container.log.read_text()
 
 
 def test_a_container_without_control_channel_stops_too(spawn: StartContainer) -> None:

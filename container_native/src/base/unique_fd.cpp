@@ -54,8 +54,12 @@ int poll_timeout(std::chrono::steady_clock::time_point deadline) noexcept {
   if (deadline == steady_clock::time_point::max()) {
     return -1;
   }
-  const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - steady_clock::now());
-  return static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, kLongest));
+  const auto now = steady_clock::now();
+  if (deadline <= now) {
+    return 0;  // it may be the smallest there is, which nothing can be subtracted from
+  }
+  const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - now);
+  return static_cast<int>(std::min<std::int64_t>(left.count(), kLongest));
 }
 
 void clear_eventfd(int fd) noexcept {
