@@ -60,6 +60,7 @@ def examine() -> list[CheckResult]:
         machine.locked_memory(),
         *machine.shared_memory(rmw),
         machine.loopback(os.environ),
+        machine.receive_buffers(),
         machine.discovery(os.environ, rmw),
         machine.domain(os.environ),
         machine.recordings(),

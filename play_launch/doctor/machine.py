@@ -51,6 +51,9 @@ _PARTICIPANTS: Final = 32
 """Fast DDS discovers that many on one machine when discovery is limited to it; Cyclone DDS, as
 rmw_cyclonedds configures it, creates no more."""
 _CYCLONE: Final = "rmw_cyclonedds_cpp"
+_LARGEST_BUFFER: Final = Path("/proc/sys/net/core/rmem_max")
+_ENOUGH_BUFFER: Final = 4 * 1024**2
+"""Bytes, as our own participants ask for: see docs/decisions/own-participants.md."""
 _DDS_PORT: Final = 7400
 _PORTS_PER_DOMAIN: Final = 250
 _PORTS_USED: Final = 118
@@ -265,6 +268,18 @@ def _datagram_arrives() -> bool:
             return receiver.recv(1) == b"?"
     except OSError:
         return False
+
+
+def receive_buffers() -> CheckResult:
+    subject, largest = "receive buffers", _text(_LARGEST_BUFFER).strip()
+    if not largest.isdecimal():
+        return ok(subject, f"{_LARGEST_BUFFER} cannot be read")
+    size = int(largest)
+    says = f"up to {size / 1024**2:.1f} MiB"
+    if size >= _ENOUGH_BUFFER:
+        return ok(subject, says)
+    fix = f"sysctl -w net.core.rmem_max={_ENOUGH_BUFFER}: large systems are discovered faster"
+    return ok(subject, says, fix)
 
 
 def discovery(environ: Mapping[str, str], rmw: str) -> CheckResult:

@@ -120,6 +120,19 @@ def test_protection_keys(cpuinfo: str, words: str, monkeypatch: pytest.MonkeyPat
     is_(machine.protection_keys(), OK, words)
 
 
+@pytest.mark.parametrize(
+    ("largest", "words"),
+    [
+        ("212992\n", "up to 0.2 MiB |  | sysctl -w net.core.rmem_max=4194304"),
+        ("4194304\n", "up to 4.0 MiB |  | "),
+        ("", "rmem_max cannot be read"),
+    ],
+)
+def test_receive_buffers(largest: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "_text", lambda _: largest)
+    is_(machine.receive_buffers(), OK, words)
+
+
 def test_a_kernel_without_pidfd(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(_: int) -> int:
         raise OSError(errno.ENOSYS, "Function not implemented")
