@@ -16,6 +16,9 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "container_native" / "src"
 FOLDER = SOURCES / "overrides"
 PAGE = ROOT / "docs" / "overrides.md"
+EXPORTS = ROOT / "container_native" / "cmake" / "exports.list"
+PRIVATE_MEMORY = "play_launch_private_memory"
+"""Of the SDK, not of another library."""
 
 ROW = re.compile(
     r"^\| `(\w+\.c(?:pp)?)` \| ([^|]+) \| ((?:`[\w:]+`(?:, )?)+) \| [^|]+ \|$", re.MULTILINE
@@ -79,6 +82,14 @@ def test_what_is_on_the_page_is_in_the_program() -> None:
     always = {name for name, (_, library) in listed().items() if not library.endswith(NOT_ALWAYS)}
     assert len(always) > 20
     assert always <= overridden()
+
+
+def test_what_is_on_the_page_is_exported_and_nothing_else() -> None:
+    names = re.findall(r"^ +([\w:]+)\*?;$", EXPORTS.read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(names) == listed().keys() | {PRIVATE_MEMORY}
+    symbols = dynamic_symbols(str(component_container())).items()
+    functions = run("c++filt", given="\n".join(name for name, kind in symbols if kind == "T"))
+    assert {name.split("(")[0] for name in functions.splitlines()} <= set(names)
 
 
 @pytest.mark.parametrize("name", listed())

@@ -4,7 +4,7 @@
  * (lib*__rosidl_generator_py.so), which want these two data symbols from libpython. The dynamic
  * loader resolves data symbols at once, so a program that is not Python would not start. Nothing
  * ever touches them: the Python halves are only called from Python, and their function symbols are
- * resolved lazily. The program must export them (-rdynamic).
+ * resolved lazily. The program must export them (cmake/exports.list).
  *
  * A program comes first wherever the loader looks for a symbol. Left exported, these two would be
  * given to the libpython that a component brings along, too: its own `True` would not be true, and
