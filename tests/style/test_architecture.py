@@ -1,21 +1,24 @@
-"""docs/architecture.md names files and functions that exist, and every room."""
+"""What docs/architecture.md and CONTRIBUTING.md name exists; the former names every room."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "architecture.md"
+PAGES = (PAGE, ROOT / "CONTRIBUTING.md")
 PYTHON, NATIVE = ROOT / "play_launch", ROOT / "container_native" / "src"
 ROOTS = (ROOT, PYTHON, NATIVE)
 
 _PATH = re.compile(r"`([\w./]+/[\w.]*)`(?:: ((?:`\w+`(?:, )?)+))?")
 
 
-def places() -> list[tuple[str, tuple[str, ...]]]:
-    """Return each file or folder that the page names, and the functions it names with it."""
-    text = " ".join(PAGE.read_text(encoding="utf-8").split())
+def places(page: Path) -> list[tuple[str, tuple[str, ...]]]:
+    """Return each file or folder that a page names, and the functions it names with it."""
+    text = " ".join(page.read_text(encoding="utf-8").split())
     found = _PATH.findall(text)
     return sorted({(path, tuple(re.findall(r"\w+", names))) for path, names in found})
 
@@ -24,17 +27,15 @@ def located(path: str) -> list[Path]:
     return [root / path for root in ROOTS if (root / path).exists()]
 
 
-def test_the_page_names_something() -> None:
-    assert len(places()) > 50
-
-
-def test_what_it_names_is_there() -> None:
-    for path, names in places():
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_what_a_page_names_is_there(page: Path) -> None:
+    assert len(places(page)) > 20
+    for path, names in places(page):
         files = located(path)
-        assert files, f"{path} does not exist: mend {PAGE.name}"
+        assert files, f"{path} does not exist: mend {page.name}"
         text = files[0].read_text(encoding="utf-8") if files[0].is_file() else ""
         for name in names:
-            assert re.search(rf"\b{name}\b", text), f"{path} has no {name}: mend {PAGE.name}"
+            assert re.search(rf"\b{name}\b", text), f"{path} has no {name}: mend {page.name}"
 
 
 def test_every_room_is_in_the_table() -> None:
