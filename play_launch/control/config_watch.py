@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -13,6 +14,7 @@ from play_launch.config.load import load_config
 from play_launch.config.problems import ConfigError
 from play_launch.config.source import Refused, read_bytes
 from play_launch.config.substitutions import Inputs
+from play_launch.process.session import in_a_thread
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterable, Mapping
@@ -45,13 +47,13 @@ async def watch(
     contents: Contents = {watched.path: config.text, **{each.path: each.text for each in files}}
     while True:
         await asyncio.sleep(PERIOD)
-        now = await asyncio.to_thread(_read, contents)
+        now = await in_a_thread(partial(_read, contents))
         if now == contents:
             continue
         await asyncio.sleep(PERIOD)
-        if await asyncio.to_thread(_read, contents) != now:
+        if await in_a_thread(partial(_read, contents)) != now:
             continue  # it is being written
-        found, contents = await asyncio.to_thread(_load, watched)
+        found, contents = await in_a_thread(partial(_load, watched))
         if isinstance(found, ConfigError):
             _log.error("%s is not applied:\n%s", watched.path, found.for_people())
         else:

@@ -25,6 +25,7 @@ from play_launch.control.messages import Caller, SessionHello
 from play_launch.control.operations import Operations
 from play_launch.control.protocol import Code, OperationError
 from play_launch.control.server import serving
+from play_launch.process.session import in_a_thread
 from play_launch.recording import topics
 from play_launch.recording.facts import OURSELVES, package_version
 from play_launch.recording.resolved_form import resolved_form
@@ -129,7 +130,7 @@ class Changes(Struct, kw_only=True, eq=False):
     async def apply(self, request: ChangeRequest, caller: Caller) -> object:
         """Send the plan, and apply it unless it is a dry run; raises OperationError."""
         try:
-            target = await asyncio.to_thread(_read, request)
+            target = await in_a_thread(partial(_read, request))
         except ConfigError as error:
             text = f"{request.path} cannot be used, nothing was changed\n{error.for_people()}"
             raise OperationError(Code.BAD_ARGUMENTS, text) from None

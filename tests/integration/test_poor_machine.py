@@ -19,6 +19,7 @@ from tests.support.mounts import NO_PROC, hung, mounted, small_shared_memory
 from tests.support.replay import COMMAND, replaying
 from tests.support.scenes import container, node, written
 from tests.support.shared_memory import segments_of
+from tests.support.waiting import until
 
 TALKER = node("talker")
 FILL = "dd if=/dev/zero of=/dev/shm/full bs=4k"
@@ -311,3 +312,23 @@ def test_a_mount_that_does_not_answer_holds_up_only_what_needs_it(tmp_path: Path
             events = system.read_all()
             assert system.process.returncode == 130
     assert events[-1]["event"] == "summary"
+
+
+def test_a_watched_configuration_on_a_mount_that_stops_answering_does_not_hold_up_the_end(
+    tmp_path: Path,
+) -> None:
+    folder = tmp_path / "server"
+    folder.mkdir()
+    with replaying(configuration(folder), tmp_path / "logs", "--watch") as system:
+        system.read_until_up("/talker")
+        with hung(folder):
+            until(lambda: is_held_up(system.pid), "a read of the configuration")
+            system.process.send_signal(signal.SIGINT)
+            system.read_all()
+            assert system.process.returncode == 130
+
+
+def is_held_up(pid: int) -> bool:
+    """Whether a thread of a process waits for the server of a mount."""
+    waits = (task / "wchan" for task in Path(f"/proc/{pid}/task").iterdir())
+    return any("fuse" in wait.read_text() or "request_wait" in wait.read_text() for wait in waits)

@@ -42,8 +42,8 @@ def disk_of(size: str, folder: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def hung(folder: Path) -> Iterator[Path]:
-    """Give ``folder``, made for the block, as a mount whose server never answers."""
-    folder.mkdir()
+    """Cover ``folder`` for the block with a mount whose server never answers."""
+    folder.mkdir(exist_ok=True)
     try:
         server = os.open("/dev/fuse", os.O_RDWR | os.O_CLOEXEC)
     except OSError as error:
