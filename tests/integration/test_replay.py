@@ -24,7 +24,7 @@ PROCESS = 2
 
 
 def test_the_demo_runs_talks_stops_and_is_recorded(tmp_path: Path) -> None:
-    with replaying(DEMO, tmp_path) as replay:
+    with replaying(DEMO, tmp_path, "--duration", "120s") as replay:
         while len(replay.told(event="component", kind="loaded")) < 8:
             replay.until(event="component", kind="loaded")
         started = replay.descendants()
