@@ -9,8 +9,12 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <cstdlib>
+#include <cstring>
+#include <new>
 #include <span>
 #include <string_view>
+#include <utility>
 
 #include "base/next_function.hpp"
 
@@ -47,7 +51,20 @@ struct Held {
 };
 constinit thread_local Held held;
 
-constinit thread_local bool withholds = false;
+/// A datagram that is to be sent later; its content follows.
+struct Datagram {
+  Datagram* next;
+  int socket;
+  int flags;
+  socklen_t address_size;
+  sockaddr_storage address;
+  std::size_t size;
+};
+constexpr int kMostDatagrams = 1024;
+
+constinit thread_local bool is_withholding = false;
+constinit thread_local int withheld_count = 0;
+constinit thread_local Datagram* withheld = nullptr;  // the latest one
 
 }  // namespace
 
@@ -83,12 +100,51 @@ int unlock(pthread_mutex_t* mutex) noexcept {
   return next_unlock.get()(mutex);
 }
 
-void withhold_datagrams(bool enabled) noexcept { withholds = enabled; }
-
 ssize_t sendto(int socket, const void* data, std::size_t size, int flags, const sockaddr* address,
                socklen_t address_size) noexcept {
-  return withholds ? static_cast<ssize_t>(size)
-                   : ::sendto(socket, data, size, flags, address, address_size);
+  if (!is_withholding || address_size > sizeof(sockaddr_storage)) {
+    return ::sendto(socket, data, size, flags, address, address_size);
+  }
+  // One without room is lost, as any datagram may be.
+  void* const room =
+      withheld_count < kMostDatagrams ? std::malloc(sizeof(Datagram) + size) : nullptr;
+  if (room != nullptr) {
+    ++withheld_count;
+    withheld = new (room) Datagram{withheld, socket, flags, address_size, {}, size};
+    std::memcpy(&withheld->address, address, address_size);
+    std::memcpy(withheld + 1, data, size);
+  }
+  return static_cast<ssize_t>(size);
+}
+
+int bind(int socket, const sockaddr* address, socklen_t address_size) noexcept {
+  constexpr int kEnough = 4 << 20;
+  int type = 0;
+  int size = 0;
+  socklen_t length = sizeof(int);
+  if (::getsockopt(socket, SOL_SOCKET, SO_TYPE, &type, &length) == 0 && type == SOCK_DGRAM &&
+      ::getsockopt(socket, SOL_SOCKET, SO_RCVBUF, &size, &length) == 0 && size < kEnough) {
+    ::setsockopt(socket, SOL_SOCKET, SO_RCVBUF, &kEnough, sizeof kEnough);
+  }
+  return ::bind(socket, address, address_size);
+}
+
+void withhold_datagrams(bool enabled) noexcept {
+  is_withholding = enabled;
+  if (enabled) {
+    return;
+  }
+  Datagram* first = nullptr;
+  for (Datagram* each = std::exchange(withheld, nullptr); each != nullptr;) {
+    first = std::exchange(each, std::exchange(each->next, first));
+  }
+  withheld_count = 0;
+  while (first != nullptr) {
+    const auto* const address = reinterpret_cast<const sockaddr*>(&first->address);
+    static_cast<void>(::sendto(first->socket, first + 1, first->size, first->flags, address,
+                               first->address_size));
+    std::free(std::exchange(first, first->next));
+  }
 }
 
 namespace {
@@ -110,7 +166,10 @@ std::uintptr_t replacement(std::string_view name) noexcept {
   if (name == "pthread_mutex_unlock") {
     return reinterpret_cast<std::uintptr_t>(&unlock);
   }
-  return name == "sendto" ? reinterpret_cast<std::uintptr_t>(&sendto) : 0;
+  if (name == "sendto") {
+    return reinterpret_cast<std::uintptr_t>(&sendto);
+  }
+  return name == "bind" ? reinterpret_cast<std::uintptr_t>(&bind) : 0;
 }
 
 bool is_in_read_only_part(const dl_phdr_info& object, std::uintptr_t address) noexcept {

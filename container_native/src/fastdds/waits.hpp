@@ -6,7 +6,8 @@
 #include <cstddef>
 #include <ctime>
 
-/// What Fast DDS waits and sends with, instead of the C library's functions of these names.
+/// What Fast DDS waits, sends and receives with, instead of the C library's functions of these
+/// names.
 namespace play_launch::fastdds {
 
 /// pthread_cond_timedwait() that pauses for 10 ms where the deadline is before 1970.
@@ -34,15 +35,31 @@ int timedwait(pthread_cond_t* condition, pthread_mutex_t* mutex, const timespec*
 int timedlock(pthread_mutex_t* mutex, const timespec* deadline) noexcept;
 int unlock(pthread_mutex_t* mutex) noexcept;
 
-/// sendto() that sends nothing, and reports that it did, while the calling thread withholds them.
+/// sendto() that sends later, and reports that it did at once, while the calling thread withholds.
+ssize_t sendto(int socket, const void* data, std::size_t size, int flags, const sockaddr* address,
+               socklen_t address_size) noexcept;
+
+/// Has what the calling thread sends withheld, or sends it.
 ///
 /// A participant announces itself before its receivers are registered
 /// (RTPSParticipantImpl::enable() of version 2.14). What exists already answers once, to that first
 /// announcement, and the answer is lost: both meet when the other one announces itself again, every
-/// 3 s. If the first announcement is not sent, the answer to the next one is received.
-ssize_t sendto(int socket, const void* data, std::size_t size, int flags, const sockaddr* address,
-               socklen_t address_size) noexcept;
+/// 3 s. So the announcement is sent when the participant is made.
 void withhold_datagrams(bool enabled) noexcept;
+
+/// Withholds what the calling thread sends as long as it lives, to make a participant.
+class Withholding {
+ public:
+  Withholding() noexcept { withhold_datagrams(true); }
+  ~Withholding() { withhold_datagrams(false); }
+  Withholding(const Withholding&) = delete;
+  Withholding& operator=(const Withholding&) = delete;
+};
+
+/// bind() that gives sockets for datagrams a receive buffer of 4 MiB, or what net.core.rmem_max
+/// allows. All participants answer a new one at once, each with a datagram for every endpoint, and
+/// what a full buffer drops is repeated a second later.
+int bind(int socket, const sockaddr* address, socklen_t address_size) noexcept;
 
 /// Has the loaded libraries whose file names begin so call these functions; returns how many do.
 int replace_waits(const char* prefix) noexcept;

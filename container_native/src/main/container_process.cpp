@@ -106,6 +106,7 @@ void ContainerProcess::start(int argc, const char* const* argv) {
     NodeOptions node_options;
     node_options.context = context_;
     node_options.start_parameter_services = false;  // RosInterface does
+    const fastdds::Withholding until_it_listens;
     node_ = std::make_shared<Node>(kDefaultName, node_options);
   }
   // RosInterface makes its services while libraries of nodes are opened. Amidst an initialiser it

@@ -70,6 +70,7 @@ RosNode::RosNode() {
   rcl_node_options_t options = rcl_node_get_default_options();
   options.enable_rosout = false;
   const std::string name = "_play_launch_recorder_" + std::to_string(::getpid());
+  const fastdds::Withholding until_it_listens;
   check(rcl_node_init(&node_, name.c_str(), "/", &context_, &options), "make a node");
 }
 

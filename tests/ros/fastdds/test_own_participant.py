@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
+import signal
 import socket
 import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -15,7 +19,8 @@ import pytest
 from play_launch.ros.fastdds.middleware import profile_in_use
 from play_launch.ros.fastdds.own_participant import as_our_own, decide
 from tests.support.loopback_network import permitted, wrapped
-from tests.support.replay import finished
+from tests.support.replay import finished, replaying
+from tests.support.scenes import container, node, written
 
 TIMEOUT = 60.0
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -151,12 +156,16 @@ SILENT = """<?xml version="1.0" encoding="UTF-8"?>
 """
 """A participant that announces itself when it is made, and answers announcements of others."""
 SILENT_NODES = """
-import sys
+import select, sys
+from std_msgs.msg import String
 from tests.support.ros import Node, begin
 contexts = [begin() for _ in range(8)]
 nodes = [Node(f"silent_{number}", context=each) for number, each in enumerate(contexts)]
+publishers = [node.create_publisher(String, f"/{node.get_name()}", 10) for node in nodes]
 print("up", flush=True)
-sys.stdin.read()
+while not select.select([sys.stdin], [], [], 0.1)[0]:
+    for each in publishers:
+        each.publish(String(data="here"))
 for node, context in zip(nodes, contexts):
     node.destroy_node()
     context.try_shutdown()
@@ -174,8 +183,9 @@ asyncio.run(meet())
 """
 
 
-def test_what_exists_already_is_discovered_by_its_answers_alone(tmp_path: Path) -> None:
-    """Not only when it announces itself the next time: that takes 3 s, and here an hour."""
+@contextmanager
+def silent_nodes(tmp_path: Path) -> Iterator[None]:
+    """Nodes that announce themselves only in answers; else that takes 3 s, and here an hour."""
     profile = tmp_path / "silent.xml"
     profile.write_text(SILENT)
     there = [sys.executable, "-c", SILENT_NODES]
@@ -186,10 +196,35 @@ def test_what_exists_already_is_discovered_by_its_answers_alone(tmp_path: Path) 
         assert program.stdout is not None
         assert program.stdout.readline() == b"up\n"
         try:
-            for _ in range(3):
-                subprocess.run([sys.executable, "-c", ANSWERS], check=True, timeout=TIMEOUT)
+            yield
         finally:
             program.communicate(timeout=TIMEOUT)
+
+
+def test_what_exists_already_is_discovered_by_its_answers_alone(tmp_path: Path) -> None:
+    with silent_nodes(tmp_path):
+        for _ in range(3):
+            subprocess.run([sys.executable, "-c", ANSWERS], check=True, timeout=TIMEOUT)
+
+
+@pytest.mark.parametrize("mode", ["standard", "isolated"])
+def test_so_is_what_a_restarted_container_hears(tmp_path: Path, mode: str) -> None:
+    listeners = [
+        node(f"listener_{number}", "Listener", remappings={"chatter": f"/silent_{number}"})
+        for number in range(8)
+    ]
+    loading = {"container_type": mode}
+    containers = [container("late", *listeners)]
+    config = written(tmp_path, composable_node_loading=loading, containers=containers)
+    with silent_nodes(tmp_path), replaying(config, tmp_path / "logs") as system:
+        pid = system.read_until_up("/late")["/late"]["pid"]
+        for _ in range(2):
+            heard: set[str] = set()
+            while len(heard) < len(listeners):
+                line = system.until(event="output")["text"]
+                heard |= set(re.findall(r"\[(listener_\d)\]: I heard 'here'", line))
+            os.kill(pid, signal.SIGKILL)
+            pid = system.until(event="process", kind="started", name="/late")["pid"]
 
 
 @pytest.mark.skipif(not permitted(), reason="this kernel permits no network namespace")

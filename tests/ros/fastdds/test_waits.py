@@ -20,7 +20,10 @@ from play_launch.ros.fastdds.middleware import asks_for_fastdds
 WAITING = """
 #include <cerrno>
 #include <ctime>
+#include <netinet/in.h>
 #include <pthread.h>
+#include <sys/socket.h>
+#include <unistd.h>
 
 // The nanoseconds that a wait until then takes, or minus its error.
 extern "C" long wait_until(long seconds) {
@@ -51,6 +54,18 @@ extern "C" int lock_twice() {
   pthread_mutex_unlock(&mutex);
   return pthread_mutex_trylock(&mutex) == 0 ? error : -3;
 }
+
+// The receive buffer of a socket for datagrams, once it is bound.
+extern "C" int receive_buffer() {
+  const int fd = socket(AF_INET, SOCK_DGRAM, 0);
+  const sockaddr_in loopback{AF_INET, 0, {htonl(INADDR_LOOPBACK)}, {}};
+  int size = 0;
+  socklen_t length = sizeof size;
+  if (bind(fd, reinterpret_cast<const sockaddr*>(&loopback), sizeof loopback) != 0) return -1;
+  getsockopt(fd, SOL_SOCKET, SO_RCVBUF, &size, &length);
+  close(fd);
+  return size;
+}
 """
 TRYING = """
 import ctypes, sys
@@ -65,7 +80,9 @@ other.wait_until.restype = ctypes.c_long
 print(end_participants_safely(("libpeculiar",)))
 print(library.wait_until(-1), library.wait_until(1), other.wait_until(-1))
 print(library.lock_twice(), other.lock_twice())
+print(library.receive_buffer(), other.receive_buffer())
 """
+LIMITS = ("default", "max")
 PAUSE = 10_000_000
 """ns; not less than this passes in a wait whose deadline has overflowed."""
 
@@ -84,7 +101,7 @@ def test_the_functions_of_a_library_are_replaced(tmp_path: Path, binding: str) -
         options = ["-shared", "-fPIC", "-O1", binding, "-Wl,-z,relro", "-o", str(library)]
         compiler = os.environ.get("CXX", "c++")
         subprocess.run([compiler, *options, str(source)], check=True)
-    replaced, overflowed, past, elsewhere, own_lock, other_lock = map(
+    replaced, overflowed, past, elsewhere, own_lock, other_lock, buffer, other_buffer = map(
         int, python(TRYING, *libraries)
     )
     assert replaced == 1
@@ -92,6 +109,9 @@ def test_the_functions_of_a_library_are_replaced(tmp_path: Path, binding: str) -
     assert past >= 0
     assert elsewhere >= 0, "what others wait for is not touched, and goes on working"
     assert (own_lock, other_lock) == (0, errno.ETIMEDOUT)
+    default, most = (int(Path(f"/proc/sys/net/core/rmem_{name}").read_text()) for name in LIMITS)
+    # The kernel doubles what is asked for.
+    assert (buffer, other_buffer) == (max(default, 2 * min(most, 4 << 20)), default)
 
 
 @pytest.mark.skipif(
