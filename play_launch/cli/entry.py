@@ -27,6 +27,7 @@ def main() -> None:
     _prepare_standard_streams()
     from play_launch.cli.output import (  # noqa: PLC0415 - after the lines above
         is_about_output,
+        redirect_to_devnull,
         report_write_error,
     )
 
@@ -47,6 +48,11 @@ def main() -> None:
         else:
             raise
         sys.exit(OUTPUT_FAILED)
+    finally:
+        try:
+            sys.stderr.flush()
+        except OSError:  # what could not be written to a closed terminal; Python 3.13 tries again
+            redirect_to_devnull(sys.stderr)
 
 
 def _prepare_standard_streams() -> None:
