@@ -318,7 +318,10 @@ async def spawn(
         SpawnError: When it cannot be started: no such program, not executable, too many open
             files. What fails after the guard has taken over appears as exit status 126 or 127.
     """
-    await in_a_thread(partial(check_program, argv, env, cwd))
+    try:
+        await in_a_thread(partial(check_program, argv, env, cwd))
+    except OSError as error:
+        raise SpawnError.of(argv, error) from None
     if mark:
         env = {**env, MEMBER_VARIABLE: mark}
     with ExitStack() as opened:

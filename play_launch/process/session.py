@@ -7,6 +7,7 @@ What calls setsid(2) itself is found by `play_launch.process.kin`.
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import threading
 from contextlib import ExitStack, suppress
@@ -64,7 +65,8 @@ class Shared(Generic[_Result]):
 def in_a_thread(work: Callable[[], _Result]) -> asyncio.Future[_Result]:
     """Do work that the kernel may hold up without limit: a mount or a process does not answer.
 
-    In a daemon thread: one of an executor would prevent the exit of the program.
+    In a daemon thread: one of an executor would prevent the exit of the program. Raises OSError
+    (EAGAIN) if there can be no more threads.
     """
     loop = asyncio.get_running_loop()
     done: asyncio.Future[_Result] = loop.create_future()
@@ -77,7 +79,10 @@ def in_a_thread(work: Callable[[], _Result]) -> asyncio.Future[_Result]:
         with suppress(RuntimeError):  # the loop is closed
             loop.call_soon_threadsafe(lambda: None if done.done() else settle())
 
-    threading.Thread(target=run, daemon=True).start()
+    try:
+        threading.Thread(target=run, daemon=True).start()
+    except RuntimeError as error:
+        raise OSError(errno.EAGAIN, "no thread can be started") from error
     return done
 
 

@@ -349,6 +349,8 @@ async def _made(make: Callable[[], Command]) -> Command:
         return await in_a_thread(make)
     except (ExecutableNotFoundError, ParameterFileError, ValueError) as error:
         raise StartError(str(error), permanent=True) from error
+    except OSError as error:
+        raise StartError(str(error.strerror), permanent=error.errno not in _PASSING) from error
 
 
 def _participants(config: ReplayConfig) -> int:

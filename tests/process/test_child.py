@@ -8,6 +8,7 @@ import resource
 import signal
 import threading
 from contextlib import suppress
+from errno import EAGAIN
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -228,6 +229,18 @@ async def test_what_cannot_start_is_said(
     assert text in str(caught.value)
     assert caught.value.errno == errno
     assert caught.value.argv == tuple(argv)
+
+
+async def test_without_another_thread_nothing_is_started_for_now(
+    session: SessionGuard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def start(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", start)
+    with pytest.raises(SpawnError, match="no thread can be started") as caught:
+        await spawn(["true"], env=environment(), guard=session)
+    assert caught.value.errno == EAGAIN
 
 
 async def test_a_directory_that_went_away_is_said(
