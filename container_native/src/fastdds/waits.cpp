@@ -102,7 +102,7 @@ int unlock(pthread_mutex_t* mutex) noexcept {
 
 ssize_t sendto(int socket, const void* data, std::size_t size, int flags, const sockaddr* address,
                socklen_t address_size) noexcept {
-  if (!is_withholding || address_size > sizeof(sockaddr_storage)) {
+  if (!is_withholding || address == nullptr || address_size > sizeof(sockaddr_storage)) {
     return ::sendto(socket, data, size, flags, address, address_size);
   }
   // One without room is lost, as any datagram may be.
