@@ -5,6 +5,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "components/component_backend.hpp"
@@ -12,17 +13,18 @@
 
 namespace play_launch::container {
 
-/// The kinds of components that a host can load, in one context. All members may be called from
-/// several threads at once.
+/// The kinds of components that a host can load, in one context. Copies share the backends, and
+/// with them the libraries that are open. All members may be called from several threads at once.
 class BackendList {
  public:
+  /// Never empty.
   explicit BackendList(std::vector<std::unique_ptr<ComponentBackend>> backends)
-      : backends_(std::move(backends)) {}
+      : shared_(std::make_shared<Shared>(std::move(backends))) {}
 
   /// The context that all nodes are made in.
-  std::shared_ptr<Context> context() const { return backends_.front()->context(); }
-  std::size_t size() const { return backends_.size(); }
-  ComponentBackend& operator[](std::size_t index) const { return *backends_[index]; }
+  std::shared_ptr<Context> context() const { return shared_->backends.front()->context(); }
+  std::size_t size() const { return shared_->backends.size(); }
+  ComponentBackend& operator[](std::size_t index) const { return *shared_->backends[index]; }
 
   /// What a request asks for, found in the index: reads files. Throws LoadError.
   struct Place {
@@ -44,10 +46,17 @@ class BackendList {
   std::string wait_of(std::uint64_t unique_id) const;
 
  private:
+  struct Shared {
+    explicit Shared(std::vector<std::unique_ptr<ComponentBackend>> all)
+        : backends(std::move(all)) {}
+
+    const std::vector<std::unique_ptr<ComponentBackend>> backends;
+    LibraryLoader loader;
+  };
+
   std::size_t of_package(const std::string& package) const;
 
-  std::vector<std::unique_ptr<ComponentBackend>> backends_;  // never empty
-  std::unique_ptr<LibraryLoader> loader_ = std::make_unique<LibraryLoader>();
+  std::shared_ptr<Shared> shared_;
 };
 
 }  // namespace play_launch::container

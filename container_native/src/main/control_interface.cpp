@@ -56,24 +56,24 @@ msg::NodeStatus status_of(const NodeSnapshot& snapshot) {
 
 }  // namespace
 
-UniqueFd take_control_socket() {
-  const char* const text = std::getenv(control::kSocketVariable);
+UniqueFd take_socket(const char* variable, int type) {
+  const char* const text = std::getenv(variable);
   if (text == nullptr) {
     return {};
   }
   const std::string value = text;
-  ::unsetenv(control::kSocketVariable);
+  ::unsetenv(variable);
   int fd = -1;
   const auto [end, error] = std::from_chars(value.data(), value.data() + value.size(), fd);
   if (error != std::errc() || end != value.data() + value.size() || fd < 0) {
-    throw std::runtime_error(std::string(control::kSocketVariable) + "=" + value +
+    throw std::runtime_error(std::string(variable) + "=" + value +
                              " is no file descriptor's number");
   }
-  int type = 0;
-  socklen_t size = sizeof type;
-  if (::getsockopt(fd, SOL_SOCKET, SO_TYPE, &type, &size) != 0 || type != SOCK_STREAM) {
-    throw std::runtime_error(std::string(control::kSocketVariable) + "=" + value +
-                             " is no open stream socket; it is set by the supervisor only");
+  int found = 0;
+  socklen_t size = sizeof found;
+  if (::getsockopt(fd, SOL_SOCKET, SO_TYPE, &found, &size) != 0 || found != type) {
+    throw std::runtime_error(std::string(variable) + "=" + value +
+                             " is no open socket of its type; it is set by the supervisor only");
   }
   fd = move_to_high_number(fd);
   ::fcntl(fd, F_SETFD, FD_CLOEXEC);

@@ -50,9 +50,9 @@ class ControlInterface final : public EventSink, public control::ChannelHandler 
   control::Channel channel_;      // last: its thread uses the above
 };
 
-/// The socket that PLAY_LAUNCH_CONTROL_FD names, kept from programs that nodes start; the variable
-/// is removed. Without the variable an empty one. Throws std::runtime_error when it names none.
-/// Call it before there are threads.
-UniqueFd take_control_socket();
+/// The socket of that type whose number the environment variable has, kept from programs that nodes
+/// start; the variable is removed. Without the variable an empty one. Throws std::runtime_error
+/// when it names none. Call it before there are threads.
+UniqueFd take_socket(const char* variable, int type);
 
 }  // namespace play_launch::container

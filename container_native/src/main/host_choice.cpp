@@ -50,8 +50,9 @@ HostChoice choose_host(const Options& options, const ExecutorChoice& executor,
     choice.host = std::make_unique<SharedExecutorHost>(std::move(backends), executor);
     return choice;
   }
-  isolation::Gate gate =
-      isolation::choose_mechanism(options.isolation, isolation::look_at_machine());
+  // Once for all containers of the process: trials at the same time would wait for each other.
+  static const isolation::Facts machine = isolation::look_at_machine();
+  isolation::Gate gate = isolation::choose_mechanism(options.isolation, machine);
   for (const std::string& note : gate.notes) {
     report(note);
   }

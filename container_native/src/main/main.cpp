@@ -1,3 +1,5 @@
+#include <sys/socket.h>
+
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
@@ -10,11 +12,11 @@
 #include "base/report.hpp"
 #include "base/resource_setting.hpp"
 #include "isolation/memory/protection_keys.hpp"
-#include "main/container_process.hpp"
 #include "main/control_interface.hpp"
 #include "main/host_choice.hpp"
 #include "main/options.hpp"
 #include "main/probe.hpp"
+#include "main/process.hpp"
 #include "main/stop.hpp"
 
 namespace {
@@ -94,9 +96,11 @@ int run(int argc, char** argv) {
     if (options.probe) {
       return probe(options.probe->package, options.probe->plugin);
     }
-    UniqueFd control_socket = take_control_socket();
-    ContainerProcess process(options, argc, argv, std::move(control_socket));
-    return process.run();
+    UniqueFd control_socket = take_socket(control::kSocketVariable, SOCK_STREAM);
+    UniqueFd requests = take_socket(kContainersVariable, SOCK_SEQPACKET);
+    Process process(options, argc, argv);
+    return requests ? process.run_many(std::move(requests))
+                    : process.run_one(std::move(control_socket));
   } catch (const UsageError& error) {
     return usage_error(error);
   } catch (const FailpointError& error) {

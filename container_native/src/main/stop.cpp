@@ -75,10 +75,15 @@ void StopRequests::handle_signals() {
   ::pthread_sigmask(SIG_UNBLOCK, &ours, nullptr);
 }
 
-void StopRequests::request(StopCause cause) {
-  StopCause none = StopCause::none;
-  cause_.compare_exchange_strong(none, cause);
+void StopRequests::request(StopCause cause, const std::string& why) {
   ++requests_;
+  {
+    const std::lock_guard lock(mutex_);
+    if (cause_ == StopCause::none) {
+      why_ = why;
+      cause_ = cause;
+    }
+  }
   wake();
 }
 
@@ -94,6 +99,11 @@ void StopRequests::wait(SteadyTime deadline) {
 StopCause StopRequests::cause() const {
   const StopCause cause = cause_;
   return cause == StopCause::none && signals > 0 ? StopCause::signal : cause;
+}
+
+std::string StopRequests::why() const {
+  const std::lock_guard lock(mutex_);
+  return why_;
 }
 
 int StopRequests::times_asked() const { return requests_ + signals; }

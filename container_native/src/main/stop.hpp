@@ -7,6 +7,7 @@
 #include <string>
 #include <thread>
 
+#include "base/process.hpp"
 #include "base/unique_fd.hpp"
 
 namespace play_launch::container {
@@ -17,8 +18,8 @@ using SteadyTime = std::chrono::steady_clock::time_point;
 /// `context`: code of a node shut the ROS context down.
 enum class StopCause { none, signal, shutdown, closed, protocol_error, context };
 
-/// Collects what asks the container to stop, and lets one thread wait for it. There is one object,
-/// because signal handlers have no other way to find it.
+/// Collects what asks a container to stop, and lets one thread wait for it. Signals count for each
+/// object of the process, and wake the one that handles them.
 class StopRequests {
  public:
   StopRequests();
@@ -26,11 +27,12 @@ class StopRequests {
   StopRequests& operator=(const StopRequests&) = delete;
 
   /// SIGINT, SIGTERM and SIGHUP (unless it is ignored, as under nohup) ask to stop; the third of
-  /// them ends the process at once. SIGPIPE does nothing.
+  /// them ends the process at once. SIGPIPE does nothing. For one object of the process.
   void handle_signals();
 
-  /// Asks to stop; the first cause stays. Any thread.
-  void request(StopCause cause);
+  /// Asks to stop; the first cause stays, and with it `why`, which goes with the end of each node.
+  /// Any thread.
+  void request(StopCause cause, const std::string& why = "");
   /// Ends the current wait() without asking for anything. Any thread.
   void wake();
 
@@ -39,11 +41,15 @@ class StopRequests {
 
   /// Signals count as a cause too.
   StopCause cause() const;
+  /// Empty: the stop was requested.
+  std::string why() const;
   /// Number of requests: a signal or a request each count 1.
   int times_asked() const;
 
  private:
   const UniqueFd event_;
+  mutable std::mutex mutex_;  // guards why_
+  std::string why_;
   std::atomic<StopCause> cause_{StopCause::none};
   std::atomic<int> requests_{0};
 };
@@ -71,6 +77,13 @@ class Watchdog {
   bool done_ = false;
   std::thread thread_;
 };
+
+/// A supervisor that is gone cannot clean up after us: see kOrphanGrace. For all nodes, and for
+/// all.
+inline constexpr auto kOrphanStopLimit = kOrphanGrace - std::chrono::milliseconds(250);
+inline constexpr auto kOrphanLifeLimit = kOrphanGrace - std::chrono::milliseconds(100);
+/// For taking a container itself apart, after its nodes.
+inline constexpr std::chrono::seconds kTeardownLimit{1};
 
 /// Ends the process at once with this status, without destructors and handlers, but not without
 /// taking its shared memory segments out of the file system, which would stay there.

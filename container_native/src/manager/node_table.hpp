@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
@@ -87,7 +88,8 @@ class NodeTable {
   std::map<std::uint64_t, NodeEntry> entries_;
   std::unordered_map<std::uint64_t, std::uint64_t> attempts_;  // attempt -> unique_id
   std::deque<std::uint64_t> attempt_order_;
-  std::uint64_t last_id_ = 0;
+  /// Of all containers of a process: they share a list of those that wait for a library.
+  inline static std::atomic<std::uint64_t> last_id_{0};
 };
 
 }  // namespace play_launch::container

@@ -17,6 +17,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <exception>
+#include <mutex>
 #include <string_view>
 #include <tuple>
 #include <typeinfo>
@@ -278,12 +279,12 @@ iovec piece(const char* text) { return {const_cast<char*>(text), std::strlen(tex
 }  // namespace
 
 void prepare_crash_handling() {
-  prepare_call_stack();
-  prepare_code_map();
-  const std::terminate_handler before = std::set_terminate(on_terminate);
-  if (before != on_terminate) {
-    terminate_before = before;
-  }
+  static std::once_flag once;
+  std::call_once(once, [] {
+    prepare_call_stack();
+    prepare_code_map();
+    terminate_before = std::set_terminate(on_terminate);
+  });
 }
 
 void install_crash_handlers() noexcept {

@@ -1,4 +1,4 @@
-#include "main/container_process.hpp"
+#include "main/container.hpp"
 
 #include <rcl/context.h>
 #include <rmw/rmw.h>
@@ -34,13 +34,8 @@ using Clock = std::chrono::steady_clock;
 
 constexpr const char* kDefaultName = "ComponentManager";
 
-// A supervisor that is gone cannot clean up after us: see kOrphanGrace.
-constexpr auto kOrphanStopLimit = kOrphanGrace - 250ms;
-constexpr auto kOrphanLifeLimit = kOrphanGrace - 100ms;
 /// For a second request to stop.
 constexpr auto kSecondStopLimit = 200ms;
-/// For taking the container itself apart, after its nodes.
-constexpr auto kTeardownLimit = 1s;
 /// For the supervisor to read the last events.
 constexpr auto kFlushLimit = 500ms;
 /// For the names in the report of the container's own crash, which the dying thread awaits for 1 s.
@@ -78,33 +73,22 @@ std::string seconds_text(Clock::duration duration) {
 
 }  // namespace
 
-ContainerProcess::ContainerProcess(const Options& options, int argc, const char* const* argv,
-                                   UniqueFd control_socket)
-    : options_(options), process_(identity_of(::getpid())) {
-  stop_.handle_signals();
+Container::Container(const Options& options, SharedParts& shared, StopRequests& stop,
+                     UniqueFd control_socket, const std::vector<std::string>& arguments)
+    : options_(options), shared_(shared), stop_(stop) {
   if (control_socket) {
     control_.emplace(std::move(control_socket), stop_, [this] {
-      watchdog_.arm(
+      end_process_by(
           Clock::now() + kOrphanLifeLimit, kExitOk,
           "the channel to the supervisor has ended, and stopping takes too long: leaving");
     });
   }
-  start(argc, argv);
-}
-
-ContainerProcess::~ContainerProcess() = default;
-
-void ContainerProcess::start(int argc, const char* const* argv) {
-  BackendList backends = make_backends(argc, argv);
-  context_ = backends.context();
-  fastdds::replace_waits();
-  context_guard_.emplace(context_,
-                         [this](const std::string& caller) { on_context_shutdown(caller); });
   // The first node of the context, and the last to go: the participant and its threads come with
   // it, and must not depend on the end of a component.
   if (!options_.hosted) {
     NodeOptions node_options;
-    node_options.context = context_;
+    node_options.context = shared_.backends.context();
+    node_options.arguments = arguments;
     node_options.start_parameter_services = false;  // RosInterface does
     const fastdds::Withholding until_it_listens;
     node_ = std::make_shared<Node>(kDefaultName, node_options);
@@ -114,23 +98,32 @@ void ContainerProcess::start(int argc, const char* const* argv) {
   // asks for is known once there is a node.
   std::future<void> types;
   if (control_ && node_) {
-    types = std::async(std::launch::async, [] {
-      isolation::look_up_type_supports(nullptr);
-      isolation::look_up_type_supports("libplay_launch_component.so");
+    types = std::async(std::launch::async, [this] {
+      std::call_once(shared_.type_supports_known, [] {
+        isolation::look_up_type_supports(nullptr);
+        isolation::look_up_type_supports("libplay_launch_component.so");
+      });
     });
   }
   const ExecutorChoice executor = choose_executor();
   auto greeting = hello(executor.threads, backend_names());
-  HostChoice choice = choose_host(options_, executor, std::move(backends));
+  HostChoice choice = choose_host(options_, executor, shared_.backends);
   greeting.mechanism = std::move(choice.mechanism);
   greeting.notes = std::move(choice.notes);
+  if (options_.isolated && shared_.watchdog == nullptr) {
+    greeting.notes.emplace_back(
+        "its process has other containers, too: what poisons one ends all of them (consolidate)");
+  }
   host_ = std::move(choice.host);
   if (control_ && node_ && !options_.isolated) {
     crash_watch_.emplace(
         [this](const isolation::CrashSlot& slot) { control_->on_event(own_crash(slot)); });
   }
-  next_terminate_handler = std::set_terminate(on_terminate);  // the one that the host has set
-  manager_ = std::make_unique<ObservableComponentManager>(*host_, process_);
+  static std::once_flag logs_exceptions;
+  std::call_once(logs_exceptions, [] {
+    next_terminate_handler = std::set_terminate(on_terminate);  // the one that the host has set
+  });
+  manager_ = std::make_unique<ObservableComponentManager>(*host_, shared_.process);
   if (node_) {
     ros_ = std::make_unique<RosInterface>(node_, *manager_, control_.has_value());
   }
@@ -144,7 +137,9 @@ void ContainerProcess::start(int argc, const char* const* argv) {
   }
 }
 
-ExecutorChoice ContainerProcess::choose_executor() {
+Container::~Container() = default;
+
+ExecutorChoice Container::choose_executor() {
   const auto parameter = node_ ? node_->declare_parameter<std::int64_t>("thread_num", 0) : 0;
   if (parameter < 0 || parameter > static_cast<std::int64_t>(kMaxThreads)) {
     throw UsageError("parameter thread_num is " + std::to_string(parameter) +
@@ -160,26 +155,26 @@ ExecutorChoice ContainerProcess::choose_executor() {
   return {true, threads, asked == 0};
 }
 
-play_launch_msgs::msg::ControlHello ContainerProcess::hello(
-    std::size_t threads, std::vector<std::string> backends) const {
+play_launch_msgs::msg::ControlHello Container::hello(std::size_t threads,
+                                                     std::vector<std::string> backends) const {
   play_launch_msgs::msg::ControlHello hello;
   hello.protocol_version = control::kProtocolVersion;
   hello.version = PLAY_LAUNCH_VERSION;
-  hello.pid = process_.pid;
-  hello.start_time = process_.start_time;
+  hello.pid = shared_.process.pid;
+  hello.start_time = shared_.process.start_time;
   hello.full_node_name = node_ ? node_->full_name() : "";
   hello.mode = options_.mode();
   hello.thread_num = static_cast<std::uint32_t>(threads);
   hello.backends = std::move(backends);
   hello.rmw_implementation = rmw_get_implementation_identifier();
   std::size_t domain_id = 0;
-  if (rcl_context_get_domain_id(context_->rcl(), &domain_id) == RCL_RET_OK) {
+  if (rcl_context_get_domain_id(shared_.backends.context()->rcl(), &domain_id) == RCL_RET_OK) {
     hello.domain_id = static_cast<std::uint32_t>(domain_id);
   }
   return hello;
 }
 
-ComponentEvent ContainerProcess::own_crash(const isolation::CrashSlot& slot) const {
+ComponentEvent Container::own_crash(const isolation::CrashSlot& slot) const {
   ComponentEvent event;
   isolation::ChildEnd end;
   end.signal = slot.report.signal;
@@ -188,20 +183,20 @@ ComponentEvent ContainerProcess::own_crash(const isolation::CrashSlot& slot) con
   event.event_type = ComponentEvent::CRASHED;
   event.full_node_name = node_->full_name();
   event.error_message = isolation::describe_end(end, slot);
-  event.pid = process_.pid;
-  event.start_time = process_.start_time;
+  event.pid = shared_.process.pid;
+  event.start_time = shared_.process.start_time;
   event.signal = slot.report.signal;
   event.backtrace = isolation::symbolise(slot, Clock::now() + kLookUpLimit);
   event.modules = isolation::modules_of(slot);
   return event;
 }
 
-int ContainerProcess::run() {
+Container::End Container::run() {
   while (stop_.cause() == StopCause::none) {
     stop_.wait();
   }
   stop_nodes();
-  const int status = exit_code(stop_.cause(), options_.hosted);
+  End end{exit_code(stop_.cause(), options_.hosted), true, !manager_->dead_locks().empty()};
   const bool all_gone = manager_->empty();
   if (!all_gone) {
     report_remaining();
@@ -213,32 +208,25 @@ int ContainerProcess::run() {
     control_->close(Clock::now() + kFlushLimit);
   }
   node_.reset();
+  // A dead node may hold a lock that exit handlers, such as Fast DDS's, wait for.
+  end.in_order = all_gone && manager_->totals().leaked == 0;
   if (!all_gone) {
     // What is left is used by a thread that cannot be stopped: it may not be taken apart.
-    leave_now(status);
+    static_cast<void>(host_.release());
+    static_cast<void>(manager_.release());
   }
   host_.reset();
-  const bool leaked = manager_->totals().leaked > 0;
   manager_.reset();
-  context_guard_.reset();
-  context_.reset();
-  if (leaked) {
-    // A dead node may hold a lock that exit handlers, such as Fast DDS's, wait for, and the
-    // watchdog is gone by then.
-    leave_now(status);
+  return end;
+}
+
+void Container::end_process_by(SteadyTime deadline, int status, const std::string& what) {
+  if (shared_.watchdog != nullptr) {
+    shared_.watchdog->arm(deadline, status, what);
   }
-  return status;
 }
 
-void ContainerProcess::on_context_shutdown(const std::string& caller) {
-  std::call_once(shut_down_by_node_, [&] {
-    why_stopping_ = caller + " shut the ROS context down";
-    report(why_stopping_ + ", which all nodes of this container share: stopping");
-    stop_.request(StopCause::context);
-  });
-}
-
-void ContainerProcess::stop_nodes() {
+void Container::stop_nodes() {
   const StopCause cause = stop_.cause();
   const int asked = stop_.times_asked();
   auto limit = std::chrono::duration_cast<Clock::duration>(options_.stop_timeout);
@@ -248,21 +236,21 @@ void ContainerProcess::stop_nodes() {
   SteadyTime deadline = Clock::now() + limit;
   const std::string too_long = "taking the container apart takes too long: leaving";
   const int status = exit_code(cause, options_.hosted);
-  watchdog_.arm(deadline + kTeardownLimit, status, too_long);
+  end_process_by(deadline + kTeardownLimit, status, too_long);
   hit(Failpoint::during_stop);
-  manager_->begin_stop([this] { stop_.wake(); }, cause == StopCause::context ? why_stopping_ : "");
+  manager_->begin_stop([this] { stop_.wake(); }, stop_.why());
   host_->end_by(deadline);  // asks nodes to leave as well: those that the manager knows to leave
   while (!manager_->empty() && Clock::now() < deadline) {
     stop_.wait(deadline);
     if (stop_.times_asked() > asked) {
       deadline = std::min<SteadyTime>(deadline, Clock::now() + kSecondStopLimit);
       host_->end_by(deadline);
-      watchdog_.arm(deadline + kTeardownLimit, status, too_long);
+      end_process_by(deadline + kTeardownLimit, status, too_long);
     }
   }
 }
 
-void ContainerProcess::report_remaining() const {
+void Container::report_remaining() const {
   for (const NodeSnapshot& snapshot : manager_->nodes()) {
     const NodeEntry& entry = snapshot.entry;
     const std::string name = entry.full_name.empty() ? "a node" : entry.full_name;
