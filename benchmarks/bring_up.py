@@ -4,7 +4,9 @@ The bare cost is that of 15 programs started at once, each with one DDS particip
 the 54 components, constructed one after the other: no supervisor, no services, no events. What the
 command takes longer is the price of supervising.
 
-    python -m benchmarks.bring_up [--runs N] [--containers N] [--nodes N] [--json]
+    python -m benchmarks.bring_up [--runs N] [--containers N] [--nodes N] [--consolidate] [--json]
+
+With ``--consolidate``, the same configuration runs besides with all containers in one process.
 """
 
 from __future__ import annotations
@@ -45,8 +47,9 @@ def shares(nodes: int, containers: int) -> list[int]:
     return [nodes // containers + (i < nodes % containers) for i in range(containers)]
 
 
-def configuration(nodes: Sequence[int], container_type: str) -> str:
-    lines = ["version: 1", "composable_node_loading:", f"  container_type: {container_type}"]
+def configuration(nodes: Sequence[int], container_type: str, more: str = "") -> str:
+    loading = f"{{container_type: {container_type}{more}}}"
+    lines = ["version: 1", f"composable_node_loading: {loading}"]
     lines.append("containers:")
     for c, count in enumerate(nodes):
         lines += [f"  - name: c{c}", "    composable_nodes:"]
@@ -143,15 +146,20 @@ def main() -> None:
     parser.add_argument("--containers", type=int, default=15)
     parser.add_argument("--nodes", type=int, default=54)
     parser.add_argument("--type", dest="container_type", default="standard")
+    parser.add_argument("--consolidate", action="store_true")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     if not 1 <= arguments.containers <= MOST_CONTAINERS:
         parser.error(f"--containers: 1 to {MOST_CONTAINERS}")
     nodes = shares(arguments.nodes, arguments.containers)
-    results: dict[str, list[Mapping[str, float]]] = {"supervised": [], "bare": []}
+    results: dict[str, list[Mapping[str, float]]]
+    results = {"supervised": [], "bare": [], "consolidated": []}
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "bring_up.yaml"
         config.write_text(configuration(nodes, arguments.container_type), encoding="utf-8")
+        one = Path(folder) / "consolidated.yaml"
+        text = configuration(nodes, arguments.container_type, ", consolidate: true")
+        one.write_text(text, encoding="utf-8")
         supervised(config, Path(folder) / "warm-up", arguments.nodes)
         bare(nodes)
         for run in range(arguments.runs):
@@ -161,6 +169,9 @@ def main() -> None:
                 supervised(config, Path(folder) / f"logs{run}", arguments.nodes)
             )
             results["bare"].append(bare(nodes))
+            if arguments.consolidate:
+                logs = Path(folder) / f"one{run}"
+                results["consolidated"].append(supervised(one, logs, arguments.nodes))
     if arguments.json:
         print(json.dumps(results))
         return
@@ -179,6 +190,10 @@ def main() -> None:
     print(row("CPU of the bare programs", [r["cpu"] for r in without], "s"))
     print(row("supervisor's peak memory", [r["memory"] for r in with_us], "MB"))
     print(row("SIGTERM to everything gone", [r["stop"] for r in with_us], "s"))
+    if one_process := results["consolidated"]:
+        print(row("consolidated: command to last node", [r["wall"] for r in one_process], "s"))
+        print(row("  CPU of the whole tree", [r["cpu"] for r in one_process], "s"))
+        print(row("  SIGTERM to everything gone", [r["stop"] for r in one_process], "s"))
 
 
 if __name__ == "__main__":

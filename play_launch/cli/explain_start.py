@@ -21,6 +21,8 @@ from play_launch.container.command import (
     container_command,
     is_own,
     process_command,
+    shared_command,
+    stays_alone,
 )
 from play_launch.container.environment import caller_environment, child_environment
 from play_launch.container.parameter_files import ParameterFileError, parameter_file_of
@@ -50,6 +52,10 @@ class _Process(NamedTuple):
     command: Command | None
     problem: str = ""
     parameter_file: str | None = None
+    alone: str | None = None
+    """Why `consolidate` gives it no process with others; None: it was not asked for."""
+    shared: tuple[Command, str] | None = None
+    """Identifies the process that it shares."""
 
 
 def processes(config: ReplayConfig) -> list[dict[str, Any]]:
@@ -69,7 +75,7 @@ def processes(config: ReplayConfig) -> list[dict[str, Any]]:
         argv = recorder_argv(recorder, config.record, _DESCRIPTOR, "(clock)")
         environment = child_environment(os.environ, ros, config.environment)
         found.append(_Process("", _RECORDER, "", Command(argv, environment)))
-    return [_values(process, caller, secrets) for process in found]
+    return [_values(process, caller, secrets) | _sharing(process, found) for process in found]
 
 
 def helpers(config: ReplayConfig) -> list[str]:
@@ -115,6 +121,11 @@ def _member(config: ContainerConfig | ProcessConfig, machine: Machine, ask: floa
     variables = {MEMBER_VARIABLE: mark_for("(pid)", config.full_name)}
     if isinstance(config, ContainerConfig) and is_own(config):
         variables[CONTROL_FD_VARIABLE] = _DESCRIPTOR
+        if config.consolidate and not (alone := stays_alone(config)):
+            shared = shared_command(config, machine, ask=ask), config.output
+            process = process._replace(shared=shared)
+        elif config.consolidate:
+            process = process._replace(alone=alone)
     command = replace(command, environment={**command.environment, **variables})
     try:
         check_program(command.argv, command.environment, command.cwd)
@@ -151,6 +162,16 @@ def _values(
     }
 
 
+def _sharing(process: _Process, all_: Iterable[_Process]) -> dict[str, object]:
+    """Give the containers that have one process with this one, or why none has."""
+    if process.alone is not None:
+        return {"alone": process.alone}
+    if process.shared is None:
+        return {}
+    like = [each.name for each in all_ if each.shared == process.shared and each is not process]
+    return {"shares_process_with": like}
+
+
 def _here() -> str:
     with suppress(FileNotFoundError):
         return str(Path.cwd())
@@ -164,6 +185,15 @@ def _lines(process: Mapping[str, Any]) -> Iterator[str]:
         yield _remark(f"cannot be started: {process['problem']}")
     if "argv" not in process:
         return
+    if others := process.get("shares_process_with"):
+        yield _remark(f"has one process with {', '.join(others)} (consolidate)")
+        yield _remark(
+            "  it ends for all of them where a lock, the heap or the loader is lost to it"
+        )
+    elif "shares_process_with" in process:
+        yield _remark("no other container is like it (consolidate)")
+    if process.get("alone"):
+        yield _remark(f"has a process of its own in spite of consolidate: {process['alone']}")
     if process["emulate_tty"]:
         yield "# writes to terminals (emulate_tty)"
     if process["resources"]:

@@ -326,6 +326,7 @@ class ContainerConfig(MemberConfig, frozen=True, kw_only=True):
     isolation: Isolation = Isolation.AUTO
     memory_domains: MemoryDomains = MemoryDomains.OFF
     core_dumps: bool = False
+    consolidate: bool = False
     package: str = ""
     executable: str = ""
     attach: bool = False

@@ -186,6 +186,11 @@ class ContainersSection(CrashSection):
         "auto",
     )
     core_dumps = optional(kinds.BOOLEAN, "Whether isolated nodes that crash dump core.", True)
+    consolidate = optional(
+        kinds.BOOLEAN,
+        "Whether isolated containers whose processes would be alike have one together.",
+        True,
+    )
     loading_timeout = optional(
         kinds.POSITIVE_DURATION,
         "Duration after which a node that is still loading is asked about. By default 10 s.",

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
+from msgspec.structs import replace
 
-from play_launch.config.model import ContainerType, Isolation, MemoryDomains
-from play_launch.config.resources import NO_RESOURCES, Resources
+from play_launch.config.model import ContainerType, Isolation, MemoryDomains, OnExit
+from play_launch.config.resources import NO_LIMITS, NO_RESOURCES, Resources
 from play_launch.config.substitutions import ament_prefixes
 from play_launch.container.environment import (
     Allocator,
@@ -85,6 +86,22 @@ def is_own(container: ContainerConfig) -> bool:
 def shares_memory(container: ContainerConfig) -> bool:
     """Whether its nodes are processes in its own memory."""
     return container.container_type.is_isolated and container.isolation is not Isolation.PROCESS
+
+
+def stays_alone(container: ContainerConfig) -> str:
+    """Say why `consolidate` gives a container no process with others; empty: it does."""
+    if not is_own(container) or not shares_memory(container):
+        return "its nodes do not share memory"
+    if container.on_exit is OnExit.SHUTDOWN:
+        return "it ends the system when it exits (on_exit: shutdown)"
+    if container.memory_domains is not MemoryDomains.OFF:
+        return "a process has protection keys for few nodes (memory_domains)"
+    if container.resources.group != NO_LIMITS:
+        return "its control group has limits"
+    for key in ("prefix", "process_parameters", "ros_arguments", "arguments"):
+        if getattr(container, key):
+            return f"its {key} are for a process"
+    return ""
 
 
 def allocator_for(config: ReplayConfig) -> Allocator:
@@ -246,6 +263,11 @@ def container_command(
             parameter_file=parameter_file,
         )
     return Command(argv, environment, config.cwd, resources=config.resources)
+
+
+def shared_command(config: ContainerConfig, machine: Machine, *, ask: float) -> Command:
+    """Make the command of the process that a container shares with those that have the same."""
+    return container_command(replace(config, name="", namespace=""), machine, None, ask=ask)
 
 
 def container_environment(config: ContainerConfig, machine: Machine) -> dict[str, str]:

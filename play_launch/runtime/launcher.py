@@ -27,7 +27,9 @@ from play_launch.container.command import (
     container_environment,
     probe_command,
     process_command,
+    shared_command,
     shares_memory,
+    stays_alone,
 )
 from play_launch.container.messages import Hello
 from play_launch.container.parameter_files import ParameterFileError, ParameterFiles
@@ -53,6 +55,11 @@ from play_launch.process.stop import StopPolicy
 from play_launch.recording.facts import OURSELVES, package_version
 from play_launch.ros.fastdds.middleware import asks_for_fastdds
 from play_launch.ros.fastdds.shared_memory import sweep_command, sweep_shared_memory
+from play_launch.runtime.shared_process import (
+    CONTAINERS_FD_VARIABLE,
+    SharedMember,
+    SharedProcess,
+)
 from play_launch.supervisor.events import SubjectKind
 
 if TYPE_CHECKING:
@@ -70,7 +77,7 @@ if TYPE_CHECKING:
     from play_launch.runtime.stock_link import StockLink
     from play_launch.supervisor.events import GroupSample
 
-    ManagedProcess = Child | AttachedContainer
+    ManagedProcess = Child | AttachedContainer | SharedMember
     ControlLink = ControlChannel | StockLink
 
 _log = logging.getLogger(__name__)
@@ -179,6 +186,9 @@ class NativeLauncher:
         self._guards: list[SessionGuard] = []
         self._parameters = ParameterFiles()
         self._stock: StockContainers | None = None
+        self._shared: list[SharedProcess] = []
+        self._processes = 0
+        """Number of shared processes so far."""
         self._uses_fastdds = False
         self._sweeps = Shared(self._sweep)
         self.policy = StopPolicy()
@@ -255,12 +265,53 @@ class NativeLauncher:
             raise StartError(f"no control channel: {error.strerror}", permanent=False) from error
         with ExitStack() as opened:
             opened.callback(ours.close)
-            environment = {**command.environment, CONTROL_FD_VARIABLE: str(INHERITED)}
-            command = replace(command, environment=environment)
             with theirs:  # as long as we hold it as well, the end of the stream never comes
+                if config.consolidate and not stays_alone(config):
+                    channel = ControlChannel(ours, container=config.full_name)
+                    opened.callback(channel.close)
+                    member = await self._share(config, command, on_output, channel, theirs.fileno())
+                    opened.pop_all()
+                    return member, channel
+                environment = {**command.environment, CONTROL_FD_VARIABLE: str(INHERITED)}
+                command = replace(command, environment=environment)
                 process = await self._spawn(command, on_output, config, control_fd=theirs.fileno())
             opened.pop_all()
         return process, ControlChannel(ours, container=config.full_name)
+
+    async def _share(
+        self,
+        config: ContainerConfig,
+        command: Command,
+        on_output: OutputCallback,
+        channel: ControlChannel,
+        control_fd: int,
+    ) -> SharedMember:
+        """Start a container in a process with others like it; raises StartError."""
+        shared = shared_command(config, self._machine, ask=self.policy.ask)
+        self._shared = [each for each in self._shared if each.takes_more]
+        like = (e for e in self._shared if (e.command, e.output) == (shared, config.output))
+        process = next(like, None)
+        if process is None:
+            process = SharedProcess(shared, config.output)
+            self._shared.append(process)
+        self._processes += 1
+        own = replace(config, full_name=f"/[process {self._processes}]", composable_nodes=())
+
+        async def spawn(on_output: OutputCallback, inherited: int) -> Child:
+            environment = {**shared.environment, CONTAINERS_FD_VARIABLE: str(INHERITED)}
+            made = replace(shared, environment=environment)
+            return await self._spawn(made, on_output, own, control_fd=inherited)
+
+        group, _ = self.groups.of(config)
+        member = SharedMember(
+            config.full_name, command.argv, channel, on_output, group=group, policy=self.policy
+        )
+        try:
+            await process.add(member, control_fd, spawn)
+        except OSError as error:
+            reason = f"no container in a process with others: {error.strerror}"
+            raise StartError(reason, permanent=False) from error
+        return member
 
     async def library_of(self, container: ContainerConfig, node: ComposableNodeConfig) -> str:
         """Find the library in the ament index that the container uses; empty: it has none."""

@@ -86,22 +86,19 @@ def test_isolation_and_threads(containers: tuple[ContainerConfig, ...]) -> None:
     ]
 
 
-def test_core_dumps_are_asked_for() -> None:
-    text = b"""
+@pytest.mark.parametrize("key", ["core_dumps", "consolidate"])
+def test_they_are_asked_for_all_containers_and_for_one(key: str) -> None:
+    text = f"""
 version: 1
-composable_node_loading: {container_type: isolated, core_dumps: true}
+composable_node_loading: {{container_type: isolated, {key}: true}}
 containers:
   - name: one
   - name: two
-    core_dumps: false
+    {key}: false
 """
-    config = parse_config(text, Path("demo.yaml"))
-    assert [one.core_dumps for one in config.containers] == [True, False]
-    assert (
-        not parse_config(text.replace(b"true", b"false"), Path("demo.yaml"))
-        .containers[0]
-        .core_dumps
-    )
+    for text_, wanted in ((text, [True, False]), (text.replace("true", "false"), [False, False])):
+        config = parse_config(text_.encode(), Path("demo.yaml"))
+        assert [getattr(one, key) for one in config.containers] == wanted
 
 
 def test_memory_domains_are_asked_for() -> None:

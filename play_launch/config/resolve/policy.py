@@ -45,6 +45,7 @@ ISOLATED_KEYS: Final = (
     "isolation",
     "memory_domains",
     "core_dumps",
+    "consolidate",
     "auto_reload_on_crash",
     "on_crash",
 )

@@ -41,6 +41,8 @@ class Target(Struct, frozen=True):
 def targets(view: SystemView) -> list[Target]:
     """List the processes that should be alive now, containers before their nodes."""
     found = [each for container in view.containers.values() for each in _of_container(container)]
+    # Containers may share a process, whose numbers the first of them gets.
+    found = list({each.pid: each for each in reversed(found)}.values())[::-1]
     return found + [
         Target(SubjectKind.PROCESS, each.name, each.pid, each.start_time)
         for each in view.processes.values()

@@ -11,13 +11,16 @@ from play_launch.config.model import (
     ContainerType,
     Isolation,
     MemoryDomains,
+    OnExit,
     ProcessConfig,
 )
+from play_launch.config.resources import GroupLimits, Resources
 from play_launch.container.command import (
     ExecutableNotFoundError,
     container_argv,
     find_executable,
     process_argv,
+    stays_alone,
 )
 
 BINARY = Path("/opt/lib/component_container")
@@ -75,6 +78,28 @@ def test_an_isolated_container(
     asked = container(container_type=kind, isolation=isolation, **more)
     added = {"--core_dumps", "--memory_domains", "required"} if flags else set()
     assert set(container_argv(asked, BINARY)) - set(argv) == added
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({}, ""),
+        ({"log_level": "warn", "cwd": Path("/"), "thread_num": 3}, ""),
+        ({"resources": Resources(nice=3)}, ""),
+        ({"container_type": ContainerType.MT}, "do not share memory"),
+        ({"container_type": ContainerType.STOCK}, "do not share memory"),
+        ({"isolation": Isolation.PROCESS}, "do not share memory"),
+        ({"on_exit": OnExit.SHUTDOWN}, "on_exit: shutdown"),
+        ({"memory_domains": MemoryDomains.AUTO}, "memory_domains"),
+        ({"resources": Resources(group=GroupLimits(pids_max=9))}, "control group"),
+        ({"prefix": ("gdb",)}, "prefix"),
+        ({"ros_arguments": ("-p", "a:=b")}, "ros_arguments"),
+    ],
+)
+def test_what_keeps_a_container_alone(changes: dict[str, object], why: str) -> None:
+    asked = container(**{"container_type": ContainerType.ISOLATED, **changes})
+    assert why in stays_alone(asked)
+    assert bool(why) is bool(stays_alone(asked))
 
 
 def test_a_stock_container_gets_its_arguments_before_those_for_ros() -> None:
