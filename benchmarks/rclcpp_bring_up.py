@@ -57,9 +57,10 @@ def generate_launch_description():
 
 
 def configuration(nodes: list[int], container_type: str) -> str:
-    """The same in our own format."""
-    lines = ["version: 1", "composable_node_loading:", f"  container_type: {container_type}"]
-    lines.append("containers:")
+    """The same in our own format; `consolidated` is isolated in one process."""
+    is_one = container_type == "consolidated"
+    loading = "isolated, consolidate: true" if is_one else container_type
+    lines = ["version: 1", f"composable_node_loading: {{container_type: {loading}}}", "containers:"]
     for c, count in enumerate(nodes):
         lines += [f"  - name: c{c}"]
         if container_type == "stock":
@@ -138,7 +139,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--containers", type=int, default=15)
     parser.add_argument("--nodes", type=int, default=54)
-    parser.add_argument("--types", nargs="*", default=["standard", "isolated"])
+    parser.add_argument("--types", nargs="*", default=["standard", "isolated", "consolidated"])
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     nodes = shares(arguments.nodes, arguments.containers)
