@@ -48,6 +48,16 @@ def argument(metavar: str, about: str, complete: str = "") -> Any:
     )
 
 
+def _latest_recording() -> Path:
+    from play_launch.recording.session import LATEST, default_log_folder  # noqa: PLC0415
+
+    latest = default_log_folder() / LATEST
+    if not latest.exists():
+        why = f"no session was recorded in {latest.parent}; name a session.mcap or its folder"
+        raise typer.BadParameter(why)
+    return latest.resolve()
+
+
 def completed_by(function: str) -> Any:
     """Complete by a function of `cli.completion`; empty: not at all."""
 
@@ -89,7 +99,14 @@ Follow: TypeAlias = Annotated[
     bool, typer.Option("-f", "--follow", help="Continue with new ones, until Ctrl-C.")
 ]
 Recording: TypeAlias = Annotated[
-    Path, argument("FILE", "A session.mcap, or the folder of a session.")
+    Path,
+    typer.Argument(
+        metavar="[FILE]",
+        help="A session.mcap, or the folder of a session. Default: the latest session in "
+        "$PLAY_LAUNCH_LOG_DIR, $ROS_LOG_DIR/play_launch or ~/.ros/play_launch.",
+        default_factory=_latest_recording,
+        show_default=False,
+    ),
 ]
 ConfigFile: TypeAlias = Annotated[Path, argument("CONFIG", "The YAML file.")]
 ConfigArguments: TypeAlias = Annotated[

@@ -230,6 +230,20 @@ def test_a_real_session_is_read_while_it_runs_and_afterwards(tmp_path: Path) -> 
     assert re.search(r"/talker loaded .*\(1/1\)", run("inspect", bag, "--node", "/talker").stdout)
 
 
+def test_without_a_name_it_is_the_latest_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PLAY_LAUNCH_LOG_DIR", str(tmp_path))
+    for verb in ("info", "explain", "report"):
+        assert f"no session was recorded in {tmp_path}" in run(verb, code=2).stderr
+    config = tmp_path / "first.yaml"
+    for name in ("first", "second"):
+        sleep = "nodes: [{command: [sleep, '9'], name: sleep}]"
+        config.write_text(f"{{version: 1, name: {name}, duration: 200 ms, {sleep}}}")
+        run("replay", config, code=0)
+    assert "second" in run("info", code=0).stdout.partition("\n")[0]
+
+
 def test_a_session_of_several_files_is_one(tmp_path: Path) -> None:
     folder = past_session(tmp_path, 1, parts=3)
     result = run("info", folder)
