@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import re
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.node_key import NodeKey
 from play_launch.control.event_words import EVENT_TYPES, event_object, names_of, words_of
+from play_launch.recording.console_format import logger_of, loggers_in
 from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent, Sample
 
 if TYPE_CHECKING:
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 KINDS: Final = frozenset(EVENT_TYPES.values())
 USUAL_KINDS: Final = KINDS - {"output", "process_sample", "group_sample", "system_sample"}
-CONSOLE_FORMAT: Final = re.compile(r"^\S*\[[A-Z ]+\](?: \[[^\]]*\])? \[([^\]]+)\]: ")
-"""ROS's console format: severity, time, and the logger as the only group."""
 EVENTS_LIMIT: Final = 2000
 """Events other than output that are kept; the recording has all."""
 LINES_LIMIT: Final = 300
@@ -104,7 +102,7 @@ class Selection:
         members = [each for each in targets or () if isinstance(each, str)]
         self._names = None if targets is None else {*nodes, *members}
         # The output of nodes comes through their container.
-        self._loggers = [*map(logger_of, nodes)]
+        self._loggers = {*map(logger_of, nodes)}
 
     def wants(self, event: RunEvent) -> bool:
         if EVENT_TYPES[type(event)] not in self._kinds:
@@ -113,15 +111,7 @@ class Selection:
             return True
         if not self._loggers or not isinstance(event, OutputLine):
             return False
-        found = CONSOLE_FORMAT.match(event.text)
-        return found is not None and any(
-            found[1] == each or found[1].startswith(f"{each}.") for each in self._loggers
-        )
-
-
-def logger_of(node: str) -> str:
-    """Return the name of a node's logger in ROS."""
-    return node.lstrip("/").replace("/", ".")
+        return not self._loggers.isdisjoint(loggers_in(event.text))
 
 
 class Follower:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from functools import partial
+from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
 import anyio
@@ -13,6 +14,7 @@ from play_launch.container.channel import ChannelClosedError, VersionMismatchErr
 from play_launch.container.codec import ControlError, EncodeError
 from play_launch.container.messages import Hello as HelloMessage
 from play_launch.container.messages import Shutdown, Status, lock_holder
+from play_launch.recording.console_format import logger_of, loggers_in
 from play_launch.runtime.container_messages import (
     Queries,
     description,
@@ -23,6 +25,7 @@ from play_launch.runtime.container_messages import (
 from play_launch.runtime.launcher import StartError
 from play_launch.runtime.probes import probe_nodes
 from play_launch.runtime.process_actor import ProcessActor
+from play_launch.runtime.shared_process import SharedMember
 from play_launch.runtime.watch import ContainerWatch
 from play_launch.supervisor.events import ComponentEvent, NodeState
 from play_launch.supervisor.inputs import Faulty, Greeted, HealthReported, NodeReported
@@ -36,8 +39,10 @@ if TYPE_CHECKING:
     from play_launch.config.model import ContainerConfig
     from play_launch.config.node_key import NodeKey
     from play_launch.container.messages import Incoming, Outgoing
+    from play_launch.process.lines import Line
     from play_launch.runtime.launcher import ControlLink, ManagedProcess
     from play_launch.runtime.system import System
+    from play_launch.supervisor.events import Stream
     from play_launch.supervisor.world import Node
 
 _log = logging.getLogger(__name__)
@@ -130,6 +135,25 @@ class ContainerActor(ProcessActor):
     async def _watch_it(self, watch: ContainerWatch, start: int) -> None:
         frozen = await watch.run()
         self._system.post(Faulty(self.name, start, frozen, cause=Cause.FROZEN))
+
+    def _on_output(self, stream: Stream, lines: Sequence[Line]) -> None:
+        """Publish what its process prints; of a shared one, in the name of each node's container.
+
+        What names no node is that of this container, the first of the process.
+        """
+        if not isinstance(self._process, SharedMember):
+            super()._on_output(stream, lines)
+            return
+        world = self._system.world
+        owners = {logger_of(each.name): each.key.container for each in world.nodes.values()}
+        owners |= {logger_of(name): name for name in world.processes}
+
+        def owner(line: Line) -> str:
+            found = (owners[each] for each in loggers_in(line.text) if each in owners)
+            return next(found, self.name)
+
+        for name, said in groupby(lines, owner):
+            self._system.publisher.publish_output(name, self.pid, stream, list(said))
 
     # Its channel.
 

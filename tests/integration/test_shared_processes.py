@@ -99,6 +99,26 @@ def test_messages_go_by_pointer_from_one_of_the_containers_to_another(tmp_path: 
         replay.read_all()
 
 
+def test_what_a_node_logs_is_told_of_its_container(tmp_path: Path) -> None:
+    with replaying(system(tmp_path), tmp_path / "logs") as replay:
+        said: dict[str, str] = {}
+
+        def is_last(event: dict[str, Any]) -> bool:
+            for name in ("talker", "listener"):
+                if event["event"] == "output" and f"[{name}]: " in event["text"]:
+                    said.setdefault(name, event["process"])
+            return len(said) == 2
+
+        replay.read_until(is_last, "lines of both")
+        assert said == {"talker": "/left", "listener": "/far/right"}
+        replay.ask("restart", "/left", code=0)
+        said.clear()
+        replay.read_until(is_last, "lines of both")
+        assert said == {"talker": "/left", "listener": "/far/right"}
+        replay.process.send_signal(signal.SIGTERM)
+        replay.read_all()
+
+
 def test_a_crash_and_a_restart_concern_one_container_alone(tmp_path: Path) -> None:
     with replaying(system(tmp_path), tmp_path / "logs") as replay:
         before = up(replay, *ALL)

@@ -12,10 +12,10 @@ from rich.text import Text
 
 from play_launch.cli.output import clock, duration, printable, size
 from play_launch.control.event_words import OWN_NAME
-from play_launch.control.feed import CONSOLE_FORMAT, logger_of
 from play_launch.control.messages import UnitRow
 from play_launch.control.protocol import NODE_ACTIONS
 from play_launch.control.units import Target, target_of
+from play_launch.recording.console_format import CONSOLE_FORMAT, logger_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
