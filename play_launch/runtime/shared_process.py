@@ -36,6 +36,9 @@ _LONGEST_REPLY: Final = 256  # bytes
 _HANG_UP_LIMIT: Final = 1.0
 """Seconds for the end of a container whose control channel was closed."""
 
+_MOST_NAMES: Final = 4
+"""Containers that are named in one line."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -110,8 +113,10 @@ class SharedProcess:
             raise
 
     def others(self, member: SharedMember) -> str:
-        """Name the other containers in it; empty where there are none."""
-        return ", ".join(each.name for each in self._members.values() if each is not member)
+        """Name the other containers in it, and of many their number; empty without others."""
+        names = [each.name for each in self._members.values() if each is not member]
+        more = len(names) - _MOST_NAMES
+        return ", ".join(names[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
 
     def explained(self, exit_: Exit, member: SharedMember) -> Exit:
         """Say of the end of a container what its neighbours have to do with it."""
@@ -119,7 +124,7 @@ class SharedProcess:
         if self.why and member.name != self._culprit:
             hints.append(self.why)
         elif exit_.signal and (others := self.others(member)):
-            hints.append(f"its process is that of {others}, too")
+            hints.append(f"the same process had {others}")
         return replace(exit_, hint="; ".join(filter(None, hints)))
 
     def forget(self, member: SharedMember) -> None:
