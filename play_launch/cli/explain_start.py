@@ -21,7 +21,7 @@ from play_launch.container.command import (
     container_command,
     is_own,
     process_command,
-    shared_command,
+    shared_processes,
     stays_alone,
 )
 from play_launch.container.environment import caller_environment, child_environment
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
 
     from play_launch.config.model import ProcessConfig, ReplayConfig
+    from play_launch.container.command import SharedKey
 
 _RECORDER: Final = "topic recorder"
 _PARAMETER_FILE: Final = Path("(parameter file)")
@@ -54,7 +55,7 @@ class _Process(NamedTuple):
     parameter_file: str | None = None
     alone: str | None = None
     """Why `consolidate` gives it no process with others; None: it was not asked for."""
-    shared: tuple[Command, str] | None = None
+    shared: SharedKey | None = None
     """Identifies the process that it shares."""
 
 
@@ -70,7 +71,8 @@ def processes(config: ReplayConfig) -> list[dict[str, Any]]:
     secrets = taken_secrets(config)
     attached = {each.full_name for each in config.containers if each.attach}
     started = (each for each in config.members if each.full_name not in attached)
-    found = [_member(each, machine, config.stop.ask) for each in started]
+    shares = shared_processes(config, machine)
+    found = [_member(each, machine, config.stop.ask, shares) for each in started]
     if config.record.ros:
         argv = recorder_argv(recorder, config.record, _DESCRIPTOR, "(clock)")
         environment = child_environment(os.environ, ros, config.environment)
@@ -106,7 +108,12 @@ def as_text(
     return "\n".join([text, *commands, *own])
 
 
-def _member(config: ContainerConfig | ProcessConfig, machine: Machine, ask: float) -> _Process:
+def _member(
+    config: ContainerConfig | ProcessConfig,
+    machine: Machine,
+    ask: float,
+    shares: Mapping[str, SharedKey],
+) -> _Process:
     kind = "container" if isinstance(config, ContainerConfig) else "process"
     process = _Process(config.full_name, kind, f"{config.file}:{config.line}", None)
     try:
@@ -121,11 +128,9 @@ def _member(config: ContainerConfig | ProcessConfig, machine: Machine, ask: floa
     variables = {MEMBER_VARIABLE: mark_for("(pid)", config.full_name)}
     if isinstance(config, ContainerConfig) and is_own(config):
         variables[CONTROL_FD_VARIABLE] = _DESCRIPTOR
-        if config.consolidate and not (alone := stays_alone(config)):
-            shared = shared_command(config, machine, ask=ask), config.output
-            process = process._replace(shared=shared)
-        elif config.consolidate:
-            process = process._replace(alone=alone)
+        process = process._replace(shared=shares.get(config.full_name))
+        if config.consolidate and process.shared is None:
+            process = process._replace(alone=stays_alone(config))
     command = replace(command, environment={**command.environment, **variables})
     try:
         check_program(command.argv, command.environment, command.cwd)

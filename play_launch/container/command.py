@@ -9,7 +9,7 @@ import os
 import shutil
 from collections.abc import Mapping  # noqa: TC003 - msgspec evaluates the annotations
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -55,6 +55,10 @@ _CONTAINER_SHARE: Final = 0.6
 """Part of the time for asking that the container gives its nodes; the rest is its own."""
 
 
+_MOST_NODES: Final = 64
+"""Nodes of several containers in one process: the work of a stop grows with their square."""
+
+
 class Machine(Struct, frozen=True):
     """What commands are made from besides the configuration."""
 
@@ -76,6 +80,10 @@ class Command(Struct, frozen=True):
     emulate_tty: bool = False
     resources: Resources = NO_RESOURCES
     """What the process asks of the kernel before it is executed."""
+
+
+SharedKey: TypeAlias = tuple[Command, str, int]
+"""What containers of one process have in common: its command, `output`, and a number."""
 
 
 def is_own(container: ContainerConfig) -> bool:
@@ -268,6 +276,29 @@ def container_command(
 def shared_command(config: ContainerConfig, machine: Machine, *, ask: float) -> Command:
     """Make the command of the process that a container shares with those that have the same."""
     return container_command(replace(config, name="", namespace=""), machine, None, ask=ask)
+
+
+def shared_processes(config: ReplayConfig, machine: Machine) -> dict[str, SharedKey]:
+    """Give each container that shares a process, by its name, what identifies the process.
+
+    Containers are put together in their order, as long as a process has few enough nodes.
+    """
+    found: dict[str, SharedKey] = {}
+    kinds: list[tuple[Command, str]] = []
+    nodes: list[int] = []
+    for container in config.containers:
+        if not container.consolidate or stays_alone(container):
+            continue
+        like = shared_command(container, machine, ask=config.stop.ask), str(container.output)
+        size = len(container.composable_nodes)
+        number = max((i for i, kind in enumerate(kinds) if kind == like), default=-1)
+        if number < 0 or nodes[number] + size > _MOST_NODES:
+            number = len(kinds)
+            kinds.append(like)
+            nodes.append(0)
+        nodes[number] += size
+        found[container.full_name] = (*like, number)
+    return found
 
 
 def container_environment(config: ContainerConfig, machine: Machine) -> dict[str, str]:

@@ -27,9 +27,8 @@ from play_launch.container.command import (
     container_environment,
     probe_command,
     process_command,
-    shared_command,
+    shared_processes,
     shares_memory,
-    stays_alone,
 )
 from play_launch.container.messages import Hello
 from play_launch.container.parameter_files import ParameterFileError, ParameterFiles
@@ -70,7 +69,7 @@ if TYPE_CHECKING:
         ProcessConfig,
         ReplayConfig,
     )
-    from play_launch.container.command import Command
+    from play_launch.container.command import Command, SharedKey
     from play_launch.process.child import Child
     from play_launch.process.lines import OutputCallback
     from play_launch.runtime.stock_containers import AttachedContainer, StockContainers
@@ -186,6 +185,8 @@ class NativeLauncher:
         self._guards: list[SessionGuard] = []
         self._parameters = ParameterFiles()
         self._stock: StockContainers | None = None
+        self._shares: dict[str, SharedKey] = {}
+        """Containers that share a process."""
         self._shared: list[SharedProcess] = []
         self._processes = 0
         """Number of shared processes so far."""
@@ -220,6 +221,7 @@ class NativeLauncher:
         self._prepare_stock(config)
         self.groups.prepare(config)
         self.policy = StopPolicy(**asdict(config.stop))
+        self._shares = shared_processes(config, self._machine)
         self._uses_fastdds |= any(
             asks_for_fastdds({**os.environ, **each.environment}) for each in config.members
         )
@@ -266,7 +268,7 @@ class NativeLauncher:
         with ExitStack() as opened:
             opened.callback(ours.close)
             with theirs:  # as long as we hold it as well, the end of the stream never comes
-                if config.consolidate and not stays_alone(config):
+                if config.full_name in self._shares:
                     channel = ControlChannel(ours, container=config.full_name)
                     opened.callback(channel.close)
                     member = await self._share(config, command, on_output, channel, theirs.fileno())
@@ -287,12 +289,12 @@ class NativeLauncher:
         control_fd: int,
     ) -> SharedMember:
         """Start a container in a process with others like it; raises StartError."""
-        shared = shared_command(config, self._machine, ask=self.policy.ask)
+        key = self._shares[config.full_name]
+        shared = key[0]
         self._shared = [each for each in self._shared if each.takes_more]
-        like = (e for e in self._shared if (e.command, e.output) == (shared, config.output))
-        process = next(like, None)
+        process = next((each for each in self._shared if each.key == key), None)
         if process is None:
-            process = SharedProcess(shared, config.output)
+            process = SharedProcess(key)
             self._shared.append(process)
         self._processes += 1
         own = replace(config, full_name=f"/[process {self._processes}]", composable_nodes=())

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Sequence
 
     from play_launch.container.channel import ControlChannel
-    from play_launch.container.command import Command
+    from play_launch.container.command import SharedKey
     from play_launch.process.cgroups.group import Group
     from play_launch.process.child import Child
     from play_launch.process.lines import Line, OutputCallback
@@ -45,9 +45,8 @@ _log = logging.getLogger(__name__)
 class SharedProcess:
     """The process, from its first container to its last."""
 
-    def __init__(self, command: Command, output: str) -> None:
-        self.command = command
-        self.output = output
+    def __init__(self, key: SharedKey) -> None:
+        self.key = key
         self.why = ""
         """Why it ends, where one container is the reason; empty: for no such reason."""
         self._culprit = ""

@@ -277,3 +277,15 @@ def test_the_preview_says_what_shares_a_process_and_why_something_does_not(tmp_p
     text = run("check", "--explain", config, code=0).stdout
     assert "has one process with /left, /far/right (consolidate)" in text
     assert "has a process of its own in spite of consolidate" in text
+
+
+def test_a_process_has_so_many_nodes_and_the_next_containers_get_the_next(tmp_path: Path) -> None:
+    sizes = {"a": 30, "b": 30, "c": 30, "d": 70, "e": 4}
+    containers = [
+        container(name, *(node(f"{name}{i}") for i in range(size))) for name, size in sizes.items()
+    ]
+    loading = {"container_type": "isolated", "consolidate": True}
+    config = written(tmp_path, containers=containers, composable_node_loading=loading)
+    found = json.loads(run("check", "--explain", "--json", config, code=0).stdout)["processes"]
+    shared = {each["name"]: each["shares_process_with"] for each in found if each["name"]}
+    assert shared == {"/a": ["/b"], "/b": ["/a"], "/c": [], "/d": [], "/e": []}
