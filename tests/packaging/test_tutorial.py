@@ -11,7 +11,7 @@ from pathlib import Path
 
 import psutil
 
-from tests.support.replay import alive
+from tests.support.replay import alive, run
 from tests.support.waiting import until
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "tutorial.md"
@@ -99,6 +99,7 @@ def test_it_is_as_it_says(tmp_path: Path) -> None:
                     until(is_as_printed, f"{printed} from {text}")
                 typed += 1
     finally:
+        run("daemon", "stop")  # `graph check` has started it, for this and further questions
         if first is not None and first.poll() is None:
             first.send_signal(signal.SIGTERM)
             first.wait(60)
