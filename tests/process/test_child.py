@@ -168,7 +168,9 @@ async def test_no_thread_per_child_and_nothing_left_of_many(session: SessionGuar
     children = [await start(python(READY_THEN_SLEEP), session, output) for output in outputs]
     for output in outputs:
         await output.wait_line("ready")
-    assert threading.active_count() == threads
+    async with asyncio.timeout(10):
+        while threading.active_count() > threads:  # one that looked a program up may be ending
+            await asyncio.sleep(0.01)
     for child in children:
         child.signal_group(signal.SIGKILL)
     for child in children:
