@@ -192,11 +192,9 @@ def _lines(process: Mapping[str, Any]) -> Iterator[str]:
         return
     if others := process.get("shares_process_with"):
         yield _remark(f"has one process with {', '.join(others)} (consolidate)")
-        yield _remark(
-            "  it ends for all of them where a lock, the heap or the loader is lost to it"
-        )
+        yield _remark("  what poisons it, such as a lock of a dead node, ends all of them")
     elif "shares_process_with" in process:
-        yield _remark("no other container is like it (consolidate)")
+        yield _remark("has its process with no other container (consolidate)")
     if process.get("alone"):
         yield _remark(f"has a process of its own in spite of consolidate: {process['alone']}")
     if process["emulate_tty"]:

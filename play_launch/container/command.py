@@ -53,8 +53,6 @@ class ExecutableNotFoundError(Exception):
 
 _CONTAINER_SHARE: Final = 0.6
 """Part of the time for asking that the container gives its nodes; the rest is its own."""
-
-
 _MOST_NODES: Final = 64
 """Nodes of several containers in one process: the work of a stop grows with their square."""
 
@@ -97,7 +95,7 @@ def shares_memory(container: ContainerConfig) -> bool:
 
 
 def stays_alone(container: ContainerConfig) -> str:
-    """Say why `consolidate` gives a container no process with others; empty: it does."""
+    """Give the reason why `consolidate` leaves a container alone; empty: it does not."""
     if not is_own(container) or not shares_memory(container):
         return "its nodes do not share memory"
     if container.on_exit is OnExit.SHUTDOWN:
@@ -273,11 +271,6 @@ def container_command(
     return Command(argv, environment, config.cwd, resources=config.resources)
 
 
-def shared_command(config: ContainerConfig, machine: Machine, *, ask: float) -> Command:
-    """Make the command of the process that a container shares with those that have the same."""
-    return container_command(replace(config, name="", namespace=""), machine, None, ask=ask)
-
-
 def shared_processes(config: ReplayConfig, machine: Machine) -> dict[str, SharedKey]:
     """Give each container that shares a process, by its name, what identifies the process.
 
@@ -289,7 +282,9 @@ def shared_processes(config: ReplayConfig, machine: Machine) -> dict[str, Shared
     for container in config.containers:
         if not container.consolidate or stays_alone(container):
             continue
-        like = shared_command(container, machine, ask=config.stop.ask), str(container.output)
+        unnamed = replace(container, name="", namespace="")
+        command = container_command(unnamed, machine, None, ask=config.stop.ask)
+        like = command, str(container.output)
         size = len(container.composable_nodes)
         number = max((i for i, kind in enumerate(kinds) if kind == like), default=-1)
         if number < 0 or nodes[number] + size > _MOST_NODES:

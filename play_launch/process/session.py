@@ -15,6 +15,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, Generic, TypeVar
 from weakref import WeakKeyDictionary
 
+import anyio
+
 from play_launch.process.identity import (
     NoSuchProcessError,
     ProcessHandle,
@@ -84,6 +86,18 @@ def in_a_thread(work: Callable[[], _Result]) -> asyncio.Future[_Result]:
     except RuntimeError as error:
         raise OSError(errno.EAGAIN, "no thread can be started") from error
     return done
+
+
+async def first_of(*coroutines: Coroutine[object, object, object]) -> None:
+    """Wait until one of them has ended and cancel the others; an error is raised."""
+
+    async def one(coroutine: Coroutine[object, object, object]) -> None:
+        await coroutine
+        group.cancel_scope.cancel()
+
+    async with anyio.create_task_group() as group:
+        for coroutine in coroutines:
+            group.start_soon(one, coroutine)
 
 
 async def _scan() -> list[ProcessStat]:

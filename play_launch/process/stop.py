@@ -141,20 +141,21 @@ def _end_strays(child: Child, members: list[ProcessStat]) -> None:
         signal_each(strays, number)
 
 
+async def shorten(limit: anyio.CancelScope, hurry: asyncio.Event, seconds: float) -> None:
+    """Leave a wait so many seconds at most once it is hurried."""
+    await hurry.wait()
+    limit.deadline = min(limit.deadline, anyio.current_time() + seconds)
+
+
 async def _session_ended(
     child: Child, policy: StopPolicy, step: StopStep, hurry: asyncio.Event | None
 ) -> None:
     """Wait for the end of the whole session, as long as the step allows."""
-
-    async def shorten(hurry: asyncio.Event) -> None:
-        await hurry.wait()
-        limit.deadline = min(limit.deadline, anyio.current_time() + policy.hurried)
-
     with anyio.move_on_after(step.limit) as limit:
         async with anyio.create_task_group() as tasks:
             # The kernel gets its time: afterwards nothing would check any more.
             if hurry is not None and step.level is not StopLevel.SIGKILL:
-                tasks.start_soon(shorten, hurry)
+                tasks.start_soon(shorten, limit, hurry, policy.hurried)
             ends_now = child.is_running
             await child.wait()
             rest = await child.members()

@@ -296,10 +296,10 @@ class NativeLauncher:
         if process is None:
             process = SharedProcess(key)
             self._shared.append(process)
-        self._processes += 1
-        own = replace(config, full_name=f"/[process {self._processes}]", composable_nodes=())
 
         async def spawn(on_output: OutputCallback, inherited: int) -> Child:
+            self._processes += 1
+            own = replace(config, full_name=f"/[process {self._processes}]", composable_nodes=())
             environment = {**shared.environment, CONTAINERS_FD_VARIABLE: str(INHERITED)}
             made = replace(shared, environment=environment)
             return await self._spawn(made, on_output, own, control_fd=inherited)

@@ -7,12 +7,13 @@ import logging
 import signal
 import socket
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import anyio
 
 from play_launch.process.exit import Exit
+from play_launch.process.session import first_of
+from play_launch.process.stop import shorten
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Sequence
@@ -118,7 +119,7 @@ class SharedProcess:
         return ", ".join(names[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
 
     def explained(self, exit_: Exit, member: SharedMember) -> Exit:
-        """Say of the end of a container what its neighbours have to do with it."""
+        """Add to the end of a container what its neighbours have to do with it."""
         hints = [exit_.hint]
         if self.why and member.name != self._culprit:
             hints.append(self.why)
@@ -240,15 +241,8 @@ class SharedMember:
 
     async def wait(self) -> Exit:
         """Wait until it ends, or the process does."""
-
-        async def until(wait: Callable[[], Awaitable[object]]) -> None:
-            await wait()
-            tasks.cancel_scope.cancel()
-
         if self._exit is None:
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(until, self._ended.wait)
-                tasks.start_soon(until, self.process.child.wait)
+            await first_of(self._ended.wait(), self.process.child.wait())
         if self._exit is None:
             assert self.process.child.exit is not None
             self.ended(self.process.child.exit)
@@ -277,15 +271,10 @@ class SharedMember:
             self._channel.close()  # upon which it stops
         with anyio.move_on_after(policy.ask or _HANG_UP_LIMIT) as limit:
             async with anyio.create_task_group() as tasks:
-                tasks.start_soon(partial(_shorten, limit, hurry, policy.hurried))
+                tasks.start_soon(shorten, limit, hurry, policy.hurried)
                 await self.wait()
                 tasks.cancel_scope.cancel()
         if self._exit is not None:
             return True
         self.process.blame(self, "does not stop")
         return await self.process.end(policy, hurry=hurry)
-
-
-async def _shorten(limit: anyio.CancelScope, hurry: asyncio.Event, seconds: float) -> None:
-    await hurry.wait()
-    limit.deadline = min(limit.deadline, anyio.current_time() + seconds)

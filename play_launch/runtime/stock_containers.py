@@ -6,7 +6,7 @@ import asyncio
 import logging
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import anyio
 
@@ -14,12 +14,13 @@ from play_launch.config.model import ContainerType
 from play_launch.container.messages import Hello
 from play_launch.container.ros import NotInstalledError
 from play_launch.process.exit import Exit
+from play_launch.process.session import first_of
 from play_launch.ros.composition import CompositionClient
 from play_launch.ros.thread import RosThread, node_pool
 from play_launch.runtime.stock_link import StockLink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine
+    from collections.abc import Callable
 
     from play_launch.config.model import ContainerConfig, ReplayConfig
     from play_launch.process.child import Child
@@ -75,7 +76,7 @@ class AttachedContainer:
         """Unload what was loaded by us within ``policy.ask`` seconds, and let it go."""
         del ask
         with anyio.move_on_after(policy.ask):
-            await _first_of(self._link.unload_all(), hurry.wait(), self._link.ended.wait())
+            await first_of(self._link.unload_all(), hurry.wait(), self._link.ended.wait())
         left = ", ".join(load.label for load in self._link.unfinished())
         if left and not self._link.ended.is_set():
             _log.warning("%s keeps %s: not unloaded in time", self._name, left)
@@ -87,18 +88,6 @@ class AttachedContainer:
             await self._link.services.ready()
         if waiting.cancelled_caught:
             _log.warning("waiting for %s: no container of that name is running", self._name)
-
-
-async def _first_of(*coroutines: Coroutine[Any, Any, object]) -> None:
-    """Wait until one of them has ended and cancel the others; an error is raised."""
-
-    async def one(coroutine: Coroutine[Any, Any, object]) -> None:
-        await coroutine
-        group.cancel_scope.cancel()
-
-    async with anyio.create_task_group() as group:
-        for coroutine in coroutines:
-            group.start_soon(one, coroutine)
 
 
 async def _follow(process: Child, link: StockLink) -> None:

@@ -166,6 +166,24 @@ def test_the_end_of_the_process_is_that_of_each_container_and_each_comes_back(
         replay.read_all()
 
 
+def test_what_cannot_be_taken_apart_gives_its_container_a_new_process(tmp_path: Path) -> None:
+    dead = {"parameters": {"in_constructor": True}, "on_crash": "ignore"}
+    half = container("half", node("half_built", "Crasher", **dead), node("guest"))
+    with replaying(system(tmp_path, half), tmp_path / "logs") as replay:
+        before = up(replay, *ALL, "/half", "/guest")
+        assert before["/half"] == before["/left"]
+        has_failed = {"event": "component", "kind": "load_failed"}
+        if not replay.told(**has_failed):
+            replay.until(**has_failed)
+        replay.ask("restart", "/half")
+        until(lambda: replay.pids().get("/guest") not in {None, before["/guest"]}, "a guest")
+        after = replay.pids()
+        assert after["/half"] != before["/half"]
+        assert {name: after[name] for name in ALL} == {name: before[name] for name in ALL}
+        replay.process.send_signal(signal.SIGTERM)
+        replay.read_all()
+
+
 def test_a_frozen_process_is_killed_and_all_come_back(tmp_path: Path) -> None:
     with replaying(system(tmp_path), tmp_path / "logs") as replay:
         before = up(replay, *ALL)
