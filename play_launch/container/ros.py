@@ -26,11 +26,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 _PROGRAMS = Path("lib") / "play_launch_container"
-_PYTHON_PACKAGES = {
-    "rclpy": "_rclpy_pybind11",
-    "play_launch_msgs": "play_launch_msgs_s__rosidl_typesupport_c",
-}
-"""What the control channel needs, with the compiled part of each."""
+_RCLPY = "_rclpy_pybind11"
+"""The compiled part of rclpy."""
 _MARKER = Path("share") / "rcl" / "package.xml"
 
 
@@ -133,8 +130,8 @@ def _program(
             return path
     raise NotInstalledError(
         f"the program {name} is neither in {prefix / _PROGRAMS} nor in a prefix of "
-        "AMENT_PREFIX_PATH: install play-launch-py as a package (pip install .), a bare checkout "
-        "has no programs"
+        "AMENT_PREFIX_PATH: pip install play-launch-container, in a checkout pip install "
+        "./container_native"
     )
 
 
@@ -146,27 +143,23 @@ topic_recorder = partial(_program, "topic_recorder")
 """Find the program that records topics."""
 
 
-def python_packages_problem() -> str | None:
-    """Describe which ROS package is missing for this Python, without importing it; else None.
+def rclpy_problem() -> str | None:
+    """Describe why this Python has no rclpy, without importing it; else None.
 
-    Their compiled parts are looked for as well: those of another version of Python, as of a
-    sourced installation in an environment that has its own Python, cannot be loaded.
+    The compiled part is looked for as well: that of another version of Python, as of a sourced
+    installation in an environment that has its own Python, cannot be loaded.
     """
-    for name, compiled in _PYTHON_PACKAGES.items():
-        spec = find_spec(name)
-        if spec is None:
-            return f"there is no package {name}"
-        folders = [Path(folder) for folder in spec.submodule_search_locations or ()]
-        if not any(
-            (folder / f"{compiled}{suffix}").is_file()
-            for folder in folders
-            for suffix in EXTENSION_SUFFIXES
-        ):
-            return (
-                f"{compiled} in {', '.join(map(str, folders)) or name} is not for Python "
-                f"{sys.version_info.major}.{sys.version_info.minor}"
-            )
-    return None
+    spec = find_spec("rclpy")
+    if spec is None:
+        return "there is no package rclpy"
+    folders = [Path(folder) for folder in spec.submodule_search_locations or ()]
+    compiled = [folder / f"{_RCLPY}{suffix}" for folder in folders for suffix in EXTENSION_SUFFIXES]
+    if any(path.is_file() for path in compiled):
+        return None
+    return (
+        f"{_RCLPY} in {', '.join(map(str, folders)) or 'rclpy'} is not for Python "
+        f"{sys.version_info.major}.{sys.version_info.minor}"
+    )
 
 
 def _holds_rcl(prefix: Path) -> bool:

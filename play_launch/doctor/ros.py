@@ -55,12 +55,22 @@ _NEWEST: Final = (3, 13)
 _OURSELVES: Final = "play-launch-py"
 _NOTHING_STARTS: Final = "nothing can be started"
 _REINSTALL: Final = "install play-launch-py as a package (pip install .)"
+_REINSTALL_CONTAINER: Final = (
+    "pip install play-launch-container of the same version (in a checkout: pip install "
+    "./container_native)"
+)
 _IMPORTS: Final = {
     "rclpy": "import rclpy.utilities as u; print(u.get_rmw_implementation_identifier())",
-    "play_launch_msgs": "import play_launch_msgs.msg",
     "composition_interfaces": "import composition_interfaces.srv",
 }
 _OPTIONAL: Final = "composition_interfaces"
+_RCLPY_FIX: Final = (
+    "source a ROS 2 installation that fits this Python, or pip install 'play-launch-py[jazzy]'"
+)
+_STOCK_FIX: Final = (
+    "source a ROS 2 installation; with ROS's wheels, in a checkout: pip install -C "
+    "cmake.define.PLAY_LAUNCH_PYTHON_INTERFACES=ON ./container_native"
+)
 _IMPORT_TIMEOUT: Final = 60.0
 _HELLO_TIMEOUT: Final = 20.0
 """Seconds from the start of the container to its hello message."""
@@ -125,9 +135,9 @@ def ros() -> tuple[str, list[CheckResult]]:
             says = f"does not load: {problem}"
             if module == _OPTIONAL:
                 loss = "container_type stock cannot be used"
-                findings.append(warn(module, says, loss, _REINSTALL))
+                findings.append(warn(module, says, loss, _STOCK_FIX))
             else:
-                findings.append(fail(module, says, _NOTHING_STARTS, _REINSTALL))
+                findings.append(fail(module, says, _NOTHING_STARTS, _RCLPY_FIX))
         findings.append(_middleware(rmw, installation, environ))
     findings.append(_stock_container(prefixes))
     findings += _ros2_command(installation, environ)
@@ -214,14 +224,14 @@ def container(ros: RosInstallation, environ: Mapping[str, str]) -> list[CheckRes
         program = component_container()
         spawn_guard()
     except NotInstalledError as error:
-        return [fail("container", str(error), _NOTHING_STARTS, _REINSTALL)]
+        return [fail("container", str(error), _NOTHING_STARTS, _REINSTALL_CONTAINER)]
     allocator = find_allocator()
     environment = child_environment(environ, ros, _ALONE)
     if allocator.library is not None:
         environment = allocating_with(environment, allocator.library)
     hello = asyncio.run(_hello(program, environment))
     if isinstance(hello, str):
-        return [fail("container", f"{program}: {hello}", _NOTHING_STARTS, _REINSTALL)]
+        return [fail("container", f"{program}: {hello}", _NOTHING_STARTS, _REINSTALL_CONTAINER)]
     return [
         _version(program, hello.version),
         _rclcpp(hello.backends),
@@ -272,7 +282,7 @@ def _version(program: Path, version: str) -> CheckResult:
     ours = versions().get(_OURSELVES, "")
     if version and ours and version != ours:
         says = f"{program} is version {version}, the supervisor is {ours}"
-        return warn("container", says, "their messages may differ", _REINSTALL)
+        return warn("container", says, "their messages may differ", _REINSTALL_CONTAINER)
     return ok("container", f"{program}, version {version or 'unknown'}")
 
 
@@ -285,7 +295,7 @@ def _rclcpp(backends: tuple[str, ...]) -> CheckResult:
         f"not built with rclcpp support; backends: {named}",
         "our containers load components of play-launch's own SDK only",
         "build where rclcpp_components is found (source /opt/ros/jazzy/setup.sh, then pip install "
-        ".), or load them into container_type: stock",
+        "./container_native), or load them into container_type: stock",
     )
 
 

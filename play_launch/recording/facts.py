@@ -16,7 +16,15 @@ if TYPE_CHECKING:
 REDACTED: Final = "(redacted)"
 
 OURSELVES: Final = "play-launch-py"
-_PACKAGES: Final = (OURSELVES, "ros-rclpy", "rclpy", "mcap", "zstandard", "pydantic-core")
+_PACKAGES: Final = (
+    OURSELVES,
+    "play-launch-container",
+    "ros-rclpy",
+    "rclpy",
+    "mcap",
+    "zstandard",
+    "pydantic-core",
+)
 
 _DESCRIPTION: Final = re.compile(r"(.+?)-(\d[^-]*)(?:-.*)?\.(?:dist|egg)-info")
 _SEPARATORS: Final = re.compile(r"[-_.]+")

@@ -21,6 +21,7 @@ from typing import Final
 from msgspec import Struct
 
 from play_launch.config.substitutions import ament_prefixes
+from play_launch.container.cdr.layout import DEFINITIONS
 from play_launch.recording.errors import SchemaNotFoundError
 from play_launch.supervisor.events import SubjectKind
 
@@ -191,9 +192,10 @@ def _split(type_name: str, package: str) -> tuple[str, str]:
 
 
 def _read(package: str, name: str, prefixes: tuple[Path, ...]) -> str:
-    for prefix in prefixes:
+    folders = [prefix / "share" / package / "msg" for prefix in prefixes]
+    for folder in [DEFINITIONS] if package == "play_launch_msgs" else folders:
         try:
-            return (prefix / "share" / package / "msg" / f"{name}.msg").read_text(encoding="utf-8")
+            return (folder / f"{name}.msg").read_text(encoding="utf-8")
         except (FileNotFoundError, NotADirectoryError):
             continue
     raise SchemaNotFoundError(f"{package}/msg/{name}", prefixes)

@@ -194,7 +194,7 @@ def test_what_is_not_installed_is_a_sentence(
 def test_a_ros_for_another_python_is_a_sentence(
     good: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ros, "python_packages_problem", lambda: "there is no package rclpy")
+    monkeypatch.setattr(ros, "rclpy_problem", lambda: "there is no package rclpy")
     result = runner.invoke(app, ["replay", str(good)])
     assert (result.exit_code, result.stdout) == (2, "")
     assert "ROS does not work in this Python: there is no package rclpy. Source" in result.stderr

@@ -210,7 +210,7 @@ def test_a_node_that_shares_its_process_ends_the_container_by_name(
     for text in (event.error_message, log):
         assert "shut the ROS context down" in text
         # A thread of its own is known by its library only.
-        assert ("libplay_launch_demo" if where == "thread" else "/quitter") in text
+        assert ("libplay_launch_test_components" if where == "thread" else "/quitter") in text
 
 
 def test_a_node_with_memory_of_its_own_ends_alone(spawn: StartContainer) -> None:

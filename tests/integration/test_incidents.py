@@ -119,7 +119,11 @@ def recorded_until(folder: Path, config: str, name: str, state: str) -> Path:
 
 def source(text: str) -> str:
     """``crasher.cpp:31,`` for the line of that file that holds the text."""
-    lines = (ROOT / "fixtures" / "src" / "crasher.cpp").read_text(encoding="utf-8").splitlines()
+    lines = (
+        (ROOT / "container_native" / "demo" / "crasher.cpp")
+        .read_text(encoding="utf-8")
+        .splitlines()
+    )
     (number,) = (number for number, line in enumerate(lines, 1) if text in line)
     return f"crasher.cpp:{number},"
 

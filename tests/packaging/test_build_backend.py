@@ -8,14 +8,14 @@ import re
 import subprocess
 import sys
 import sysconfig
-import zipfile
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-BACKEND = ROOT / "container_native" / "packaging" / "play_launch_build.py"
+NATIVE = ROOT / "container_native"
+BACKEND = NATIVE / "packaging" / "play_launch_build.py"
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def backend() -> ModuleType:
 
 
 def test_the_wheels_are_pinned_once(backend: ModuleType) -> None:
-    wheels = backend.ros_wheels(ROOT / "pyproject.toml")
+    wheels = backend.ros_wheels(NATIVE / "pyproject.toml")
     assert "ros-jazzy-rclpy==7.1.6" in wheels
     names = [wheel.split("=")[0].split(">")[0].split("<")[0] for wheel in wheels]
     ros = [wheel for wheel in wheels if wheel.startswith("ros-")]
@@ -40,49 +40,22 @@ def test_the_wheels_are_pinned_once(backend: ModuleType) -> None:
 def test_no_wheel_is_asked_for_where_ros_is_sourced(
     backend: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(ROOT)
+    monkeypatch.chdir(NATIVE)
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     assert any(name.startswith("ros-") for name in backend.get_requires_for_build_wheel())
     (tmp_path / "share" / "rcl").mkdir(parents=True)
-    for required in (
-        backend.get_requires_for_build_wheel(),
-        backend.get_requires_for_build_editable(),
-    ):
-        assert not any(name.startswith("ros-") for name in required)
-        # What ROS's generators import, which build isolation hides where the system has it.
-        assert {"catkin-pkg", "empy", "lark-parser", "numpy", "setuptools"} <= {
-            re.split("[=<>]", name)[0] for name in required
-        }
-
-
-def test_python_alone_needs_neither_compiler_nor_ros(
-    backend: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(ROOT)
-    for variable in ("CC", "CXX", "AMENT_PREFIX_PATH", "PYTHONPATH"):
-        monkeypatch.delenv(variable, raising=False)
-    cmake, ninja = (Path(sys.executable).parent / name for name in ("cmake", "ninja"))
-    for program in (cmake, ninja):
-        (tmp_path / "bin").mkdir(exist_ok=True)
-        (tmp_path / "bin" / program.name).symlink_to(program)
-    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
-    settings = {
-        "cmake.define.PLAY_LAUNCH_PYTHON_ONLY": "ON",
-        "build-dir": str(tmp_path / "build"),
+    required = backend.get_requires_for_build_wheel()
+    assert not any(name.startswith("ros-") for name in required)
+    # What ROS's generators import, which build isolation hides where the system has it.
+    assert {"catkin-pkg", "empy", "lark-parser", "numpy", "setuptools"} <= {
+        re.split("[=<>]", name)[0] for name in required
     }
-    assert not any(
-        each.startswith("ros-") for each in backend.get_requires_for_build_wheel(settings)
-    )
-    wheel = backend.build_wheel(str(tmp_path), settings)
-    with zipfile.ZipFile(tmp_path / wheel) as archive:
-        assert "play_launch/__init__.py" in archive.namelist()
-        assert not any("component_container" in Path(each).name for each in archive.namelist())
 
 
 def test_a_missing_compiler_is_one_sentence(
     backend: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(ROOT)
+    monkeypatch.chdir(NATIVE)
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CXX", raising=False)
     with pytest.raises(SystemExit) as stop:
@@ -93,12 +66,15 @@ def test_a_missing_compiler_is_one_sentence(
     assert "\n" not in message
 
 
-def test_missing_python_headers_are_one_sentence(
+def test_python_headers_are_needed_for_the_interfaces_only(
     backend: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(NATIVE)
     monkeypatch.setattr(sysconfig, "get_path", lambda _: str(tmp_path))
-    message = backend.missing_tools()
-    assert message is not None
+    assert backend.missing_tools() is None
+    with pytest.raises(SystemExit) as stop:
+        backend.get_requires_for_build_wheel({"cmake.define.PLAY_LAUNCH_FIXTURES": "on"})
+    message = str(stop.value).strip()
     assert str(tmp_path / "Python.h") in message
     assert "\n" not in message
 
@@ -135,12 +111,9 @@ wheel.packages = []
 """
 
 
-@pytest.mark.parametrize(
-    ("hook", "place"),
-    [("build_wheel", "lib/{}/site-packages"), ("build_editable", "local/lib/{}/dist-packages")],
-)
+@pytest.mark.parametrize("place", ["lib/{}/site-packages", "local/lib/{}/dist-packages"])
 def test_cmake_finds_the_python_packages_of_a_sourced_ros_that_pip_hides(
-    tmp_path: Path, hook: str, place: str
+    tmp_path: Path, place: str
 ) -> None:
     """What the build runs with when pip isolates it: PYTHONPATH has pip's own folders only."""
     project, ros, pips = (tmp_path / name for name in ("project", "ros", "pips"))
@@ -161,7 +134,7 @@ def test_cmake_finds_the_python_packages_of_a_sourced_ros_that_pip_hides(
     }
     call = (
         "import sys; sys.path.insert(0, sys.argv[2]); import play_launch_build as backend; "
-        f"backend.{hook}(sys.argv[1])"
+        "backend.build_wheel(sys.argv[1])"
     )
     result = subprocess.run(
         [sys.executable, "-c", call, tmp_path, BACKEND.parent],
@@ -201,8 +174,7 @@ def test_composition_interfaces_that_we_installed_ourselves_do_not_count(
     tmp_path: Path, whose: str
 ) -> None:
     """The next installation removes them."""
-    native = ROOT / "container_native"
-    manifest = (native / "interfaces" / "composition_interfaces" / "package.xml").read_text()
+    manifest = (NATIVE / "interfaces" / "composition_interfaces" / "package.xml").read_text()
     if whose == "ros":
         manifest = manifest.replace("<built_by>play_launch_container</built_by>", "")
     folder = tmp_path / "share" / "composition_interfaces"
@@ -210,7 +182,7 @@ def test_composition_interfaces_that_we_installed_ourselves_do_not_count(
     if whose != "none":
         (folder / "package.xml").write_text(manifest)
     script = tmp_path / "ask.cmake"
-    script.write_text(ASKS_FOR_INTERFACES.format(cmake=native / "cmake"))
+    script.write_text(ASKS_FOR_INTERFACES.format(cmake=NATIVE / "cmake"))
     result = subprocess.run(
         [Path(sys.executable).parent / "cmake", f"-DROS_PREFIX={tmp_path}", "-P", script],
         check=True,
@@ -233,7 +205,7 @@ def test_cmake_says_in_one_sentence_that_ros_is_missing(tmp_path: Path) -> None:
             "-B",
             tmp_path,
             "-S",
-            ROOT / "container_native",
+            NATIVE,
         ],
         check=False,
         capture_output=True,

@@ -8,10 +8,9 @@ from the crash to its event. This needs neither, nor ROS. Tests hold both equal.
 from __future__ import annotations
 
 from functools import cache, cached_property
+from pathlib import Path
 from struct import Struct, error, pack_into, unpack_from
 from typing import TYPE_CHECKING, Any, Final
-
-from play_launch.config.substitutions import share_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping
@@ -59,17 +58,19 @@ _CODES: Final = {
 """Types of definitions; a message has its own name without the package."""
 
 
+DEFINITIONS: Final = Path(__file__).with_name("msg")
+"""The folder of the ``.msg`` files of play_launch_msgs, which this package has of its own: what is
+recorded is read where there is neither ROS nor our container."""
+
+
 @cache
 def definitions() -> dict[str, dict[str, str]]:
-    """Read the fields of all messages of play_launch_msgs, as they are installed.
+    """Read the fields of all messages of play_launch_msgs.
 
     All at once: while a session runs, another version may be installed.
     """
-    share = share_folder("play_launch_msgs")
-    if share is None:
-        raise FileNotFoundError("play_launch_msgs is not installed; install play-launch-py again")
     found: dict[str, dict[str, str]] = {}
-    for path in (share / "msg").glob("*.msg"):
+    for path in DEFINITIONS.glob("*.msg"):
         fields = found[path.stem] = {}
         for line in path.read_text(encoding="utf-8").splitlines():
             kind, _, field = line.partition("#")[0].strip().partition(" ")

@@ -14,7 +14,7 @@ from play_launch.container.ros import (
     NotInstalledError,
     RosSource,
     component_container,
-    python_packages_problem,
+    rclpy_problem,
     ros_installation,
     spawn_guard,
 )
@@ -97,38 +97,33 @@ def test_programs_are_found_here_or_in_a_workspace(tmp_path: Path, prefix: Path)
             assert find(environ, prefix=prefix) == program
 
 
-def python_packages(folder: Path, suffix: str) -> None:
-    for package, compiled in (
-        ("rclpy", "_rclpy_pybind11"),
-        ("play_launch_msgs", "play_launch_msgs_s__rosidl_typesupport_c"),
-    ):
-        (folder / package).mkdir()
-        (folder / package / "__init__.py").touch()
-        (folder / package / f"{compiled}{suffix}").touch()
+def install_rclpy(folder: Path, suffix: str) -> None:
+    (folder / "rclpy").mkdir()
+    (folder / "rclpy" / "__init__.py").touch()
+    (folder / "rclpy" / f"_rclpy_pybind11{suffix}").touch()
 
 
 @pytest.fixture
 def import_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder in which alone Python looks for packages that are not imported yet."""
-    for package in ("rclpy", "play_launch_msgs"):
-        monkeypatch.delitem(sys.modules, package, raising=False)
+    monkeypatch.delitem(sys.modules, "rclpy", raising=False)
     monkeypatch.setattr(sys, "path", [str(tmp_path)])
     monkeypatch.setattr(sys, "meta_path", [PathFinder])
     return tmp_path
 
 
 @pytest.mark.parametrize("suffix", EXTENSION_SUFFIXES)
-def test_pythons_packages_are_there(import_path: Path, suffix: str) -> None:
-    python_packages(import_path, suffix)
-    assert python_packages_problem() is None
+def test_rclpy_is_there(import_path: Path, suffix: str) -> None:
+    install_rclpy(import_path, suffix)
+    assert rclpy_problem() is None
 
 
-def test_pythons_packages_are_missing(import_path: Path) -> None:
-    assert python_packages_problem() == "there is no package rclpy"
+def test_rclpy_is_missing(import_path: Path) -> None:
+    assert rclpy_problem() == "there is no package rclpy"
 
 
-def test_pythons_packages_are_for_another_python(import_path: Path) -> None:
-    python_packages(import_path, ".cpython-38-x86_64-linux-gnu.so")
-    problem = python_packages_problem()
+def test_rclpy_is_for_another_python(import_path: Path) -> None:
+    install_rclpy(import_path, ".cpython-38-x86_64-linux-gnu.so")
+    problem = rclpy_problem()
     assert problem is not None
     assert problem.startswith(f"_rclpy_pybind11 in {import_path / 'rclpy'} is not for Python 3.")

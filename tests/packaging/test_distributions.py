@@ -1,0 +1,46 @@
+"""What is published: two distributions of one version."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+NATIVE = ROOT / "container_native"
+INTERFACES = NATIVE / "interfaces" / "play_launch_msgs"
+
+
+def test_one_version_stands_everywhere() -> None:
+    projects = [tomllib.loads((folder / "pyproject.toml").read_text()) for folder in (ROOT, NATIVE)]
+    version = projects[0]["project"]["version"]
+    assert projects[1]["project"]["version"] == version
+    extra = projects[0]["project"]["optional-dependencies"]["jazzy"]
+    assert extra == [f"play-launch-container[jazzy]=={version}"]
+    for manifest in (NATIVE / "package.xml", *NATIVE.glob("interfaces/*/package.xml")):
+        assert f"<version>{version}</version>" in manifest.read_text(), manifest
+    assert f"version: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f'set(PLAY_LAUNCH_VERSION "{version}")' in (NATIVE / "CMakeLists.txt").read_text()
+    assert re.search(
+        rf"^## {re.escape(version)}\b", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE
+    )
+
+
+def test_the_supervisor_is_for_any_machine_and_has_all_it_reads(tmp_path: Path) -> None:
+    build = "import sys; from hatchling.build import build_wheel; build_wheel(sys.argv[1])"
+    subprocess.run([sys.executable, "-c", build, tmp_path], cwd=ROOT, check=True)
+    (wheel,) = tmp_path.iterdir()
+    assert wheel.name.endswith("-py3-none-any.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        held = set(archive.namelist())
+        listed = subprocess.run(
+            ["git", "ls-files", "play_launch"], cwd=ROOT, check=True, capture_output=True, text=True
+        ).stdout.split()
+        messages = "play_launch/container/cdr/msg"
+        listed.remove(messages)  # a link to the interface package, whose files the wheel has
+        listed += [f"{messages}/{path.name}" for path in (INTERFACES / "msg").iterdir()]
+        assert set(listed) <= held
+        assert not [name for name in held if name.endswith(".so")]
