@@ -53,15 +53,7 @@ format:
 bench name *arguments:
     {{python}} -m benchmarks.{{name}} {{arguments}}
 
-# Measure crashes, large messages and the graph daemon in full, and renew docs/benchmarks.md.
-bench-docs:
-    mkdir -p build
-    {{python}} -m benchmarks.crash --json build/crash.json
-    {{python}} -m benchmarks.intra_process --json build/intra_process.json
-    {{python}} -m benchmarks.graph_daemon --json build/graph_daemon.json
-    {{python}} -m benchmarks.publish build/crash.json build/intra_process.json build/graph_daemon.json
-
-# Make the pictures of the README and of docs/ anew (with Chromium); those of measurements: bench-docs.
+# Make the pictures of the README and of docs/ anew (with Chromium).
 pictures *arguments:
     {{python}} -m benchmarks.pictures {{arguments}}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -15,12 +14,8 @@ class Goal:
     measured: str
     met: bool
 
-
-def markdown(goals: Iterable[Goal]) -> str:
-    """A table; what is short is marked."""
-    lines = ["| what | goal | measured | |", "| --- | --- | --- | --- |"]
-    lines += [
-        f"| {goal.what} | {goal.goal} | {goal.measured} | {'' if goal.met else '**short**'} |"
-        for goal in goals
-    ]
-    return "\n".join(lines)
+    @property
+    def line(self) -> str:
+        """As it is printed."""
+        missed = "" if self.met else "  <- missed"
+        return f"{self.what}: {self.measured} (goal: {self.goal}){missed}"

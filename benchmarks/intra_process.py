@@ -1,7 +1,7 @@
 """A 2 MB message from one node to another: by pointer, and between processes.
 
     python -m benchmarks.intra_process [--rounds N] [--images N] [--rate HZ] [--json FILE]
-                                       [--plot FILE] [--quick]
+                                       [--quick]
 
 The time from publishing to the callback: in a container of the mode `standard`, between two
 isolated nodes, and between two nodes of the mechanism `process`, whose messages go through DDS. The
@@ -24,7 +24,6 @@ from benchmarks.figures import Figures
 from benchmarks.goal import Goal
 from benchmarks.machine import machine
 from benchmarks.progress import Progress
-from benchmarks.range_chart import Bar, Lane, range_chart
 from benchmarks.statistics import Summary
 from benchmarks.systems import Node, keep_to_this_machine, system
 from play_launch.runtime.publisher import Publisher
@@ -160,21 +159,6 @@ def table(rows: Mapping[str, Summary]) -> str:
     return "\n".join(lines)
 
 
-def picture(rows: Mapping[str, Summary]) -> str:
-    bars = [
-        Bar(
-            name,
-            [
-                Lane("min to median", (s.min, s.p50)),
-                Lane("median to p99", (s.p50, s.p99)),
-                Lane("p99 to max", (s.p99, s.max)),
-            ],
-        )
-        for name, s in rows.items()
-    ]
-    return range_chart("2 MB from publishing to the callback", "us", bars)
-
-
 def main(words: Sequence[str] | None = None) -> None:
     arguments = _arguments(words)
     logging.getLogger("play_launch").addHandler(logging.NullHandler())
@@ -190,7 +174,7 @@ def main(words: Sequence[str] | None = None) -> None:
     print(f"2 MB images at {arguments.rate:g} Hz, {arguments.rounds} x {arguments.images} of each")
     print(table(found))
     for goal in goals(found):
-        print(f"{goal.what}: {goal.measured} (goal: {goal.goal})")
+        print(goal.line)
     if arguments.json is not None:
         document: dict[str, Any] = {
             "benchmark": "intra_process",
@@ -201,8 +185,6 @@ def main(words: Sequence[str] | None = None) -> None:
             "rows": {name: summary.as_json() for name, summary in found.items()},
         }
         arguments.json.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    if arguments.plot is not None:
-        arguments.plot.write_text(picture(found), encoding="utf-8")
 
 
 def _variants(text: str) -> list[Variant]:
@@ -227,16 +209,14 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
         "--variants", type=_variants, default=list(VARIANTS), help="names, separated by ;"
     )
     parser.add_argument("--json", type=Path, default=None)
-    parser.add_argument("--plot", type=Path, default=None, help="an SVG file")
     parser.add_argument("--quick", action="store_true", help="1 turn of 30 images")
     arguments = parser.parse_args(words)
     arguments.rounds = arguments.rounds or (1 if arguments.quick else 5)
     arguments.images = arguments.images or (30 if arguments.quick else 200)
     if arguments.rounds < 1 or arguments.images < 1 or arguments.rate <= 0:
         parser.error("--rounds, --images and --rate must be above 0")
-    for file in (arguments.json, arguments.plot):
-        if file is not None and not file.parent.is_dir():
-            parser.error(f"there is no folder {file.parent}")
+    if arguments.json is not None and not arguments.json.parent.is_dir():
+        parser.error(f"there is no folder {arguments.json.parent}")
     return arguments
 
 

@@ -3,8 +3,7 @@
     python -m benchmarks.pictures [--only NAME...] [FOLDER]
 
 They go into FOLDER, by default docs/: the demo while it comes up and when it is over, the screen of
-`play-launch top`, and the page of a session, which needs a Chromium. Pictures of measurements
-belong to those: see benchmarks.publish.
+`play-launch top`, and the page of a session, which needs a Chromium.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 
 from benchmarks.browser import Browser, find_browser
-from benchmarks.goal import Goal, markdown
+from benchmarks.goal import Goal
 from benchmarks.long_session.plan import Plan
 from benchmarks.long_session.write import write_session
 from benchmarks.statistics import header, row
@@ -143,7 +143,7 @@ def measure(arguments: argparse.Namespace) -> None:
     if views:
         opened = max(view["whole"] for view in views)
         goals.append(Goal("open", f"{OPENING:g} s", f"{opened:.1f} s", opened < OPENING))
-    print(markdown(goals))
+    print("\n".join(goal.line for goal in goals))
 
 
 def main() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Self
 
@@ -51,10 +51,6 @@ class Summary:
             p99=percentile(values, 99),
             max=max(values),
         )
-
-    @classmethod
-    def from_json(cls, stored: Mapping[str, float]) -> Self:
-        return cls(int(stored["count"]), *(stored[name] for name in ("min", "p50", "p99", "max")))
 
     def as_json(self) -> dict[str, float]:
         return {

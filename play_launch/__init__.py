@@ -4,7 +4,7 @@ from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """Exit codes of all commands; docs/exit-codes.md explains them."""
+    """Exit codes of all commands; docs/control.md#exit-codes explains them."""
 
     OK = 0
     NODE_FAILED = 1

@@ -1,7 +1,7 @@
 """Crash nodes by the thousand and observe the others.
 
     python -m benchmarks.crash [--count N] [--modes isolated,isolated_mt] [--kinds 'segv/*,…']
-                               [--unquiesced …] [--json FILE] [--plot FILE] [--quick]
+                               [--unquiesced …] [--json FILE] [--quick]
 
 A container with a node that dies again and again, and two neighbours with 1 kHz timers that hear
 it by pointer; the supervisor is the real one, without pauses before reloads. Kinds are way/place:
@@ -22,7 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.crash.cases import MODES, Case, choose, plan
-from benchmarks.crash.report import Row, heading, line, picture, result
+from benchmarks.crash.goals import goals
+from benchmarks.crash.report import Row, heading, line, result
 from benchmarks.crash.trial import run_trial
 from benchmarks.machine import machine
 from benchmarks.progress import Progress
@@ -62,6 +63,7 @@ def _try_all(cases: Sequence[Case], arguments: argparse.Namespace, rows: list[Ro
         print(line(row), flush=True)
         rows.append(row)
         _keep(arguments, rows)  # each time: what is measured is not lost when it is interrupted
+    print("\n".join(goal.line for goal in goals(rows)))
 
 
 def _try(case: Case, limit: float, label: str) -> Row:
@@ -77,8 +79,6 @@ def _keep(arguments: argparse.Namespace, rows: Sequence[Row]) -> None:
     if arguments.json is not None:
         document: dict[str, Any] = {"benchmark": "crash", "machine": machine(), "rows": rows}
         arguments.json.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    if arguments.plot is not None and any(row["gap_ms"] or row["event_ms"] for row in rows):
-        arguments.plot.write_text(picture(rows), encoding="utf-8")
 
 
 def _list(text: str) -> list[str]:
@@ -110,7 +110,6 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--limit", type=float, default=None, help="seconds per trial (600)")
     parser.add_argument("--json", type=Path, default=None)
-    parser.add_argument("--plot", type=Path, default=None, help="an SVG file")
     parser.add_argument("--quick", action="store_true", help=f"{_QUICK_COUNT} crashes per trial")
     parser.add_argument("--verbose", action="store_true", help="the supervisor's log on stderr")
     arguments = parser.parse_args(words)
@@ -118,9 +117,8 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     arguments.limit = arguments.limit or (_QUICK_LIMIT if arguments.quick else 600.0)
     if arguments.count < 1 or arguments.limit <= 0:
         parser.error("--count and --limit must be above 0")
-    for file in (arguments.json, arguments.plot):
-        if file is not None and not file.parent.is_dir():
-            parser.error(f"there is no folder {file.parent}")
+    if arguments.json is not None and not arguments.json.parent.is_dir():
+        parser.error(f"there is no folder {arguments.json.parent}")
     return arguments
 
 

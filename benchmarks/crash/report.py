@@ -1,4 +1,4 @@
-"""The results of trials: as JSON, as a table, as a picture."""
+"""The results of trials: as JSON, as a table."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 from benchmarks.crash.cases import QUIET, Case
 from benchmarks.crash.footprint import Footprint, growth
 from benchmarks.crash.tally import Tally
-from benchmarks.range_chart import Bar, Lane, range_chart
 from benchmarks.statistics import Summary
 
 Row = Mapping[str, Any]
@@ -114,22 +113,6 @@ def table(rows: Iterable[Row]) -> str:
     return "\n".join([*body, "", "* dies with all threads where they are, without quiescing"])
 
 
-def picture(rows: Sequence[Row]) -> str:
-    """The times as an SVG."""
-    bars = [
-        Bar(
-            f"{row['mode']} · {label(row)}",
-            [
-                _lane("crash to event, p50 to p99", row["event_ms"], "p50", "p99"),
-                _lane("crash to loaded again, p50 to p99", row["loaded_ms"], "p50", "p99"),
-                _lane("longest gap of a 1 kHz neighbour, p50 to max", row["gap_ms"], "p50", "max"),
-            ],
-        )
-        for row in rows
-    ]
-    return range_chart("Crashes of isolated nodes", "ms", bars)
-
-
 def _leak(row: Row) -> str:
     if row["kind"].endswith("/constructor"):
         return f"{row['leaked']} half-built nodes left their memory behind"
@@ -140,7 +123,3 @@ def _pair(times: Mapping[str, float] | None, second: str) -> str:
     if times is None:
         return "-"
     return f"{times['p50']:.2f} / {times[second]:.2f}"
-
-
-def _lane(name: str, times: Mapping[str, float] | None, low: str, high: str) -> Lane:
-    return Lane(name, None if times is None else (times[low], times[high]))

@@ -1,6 +1,6 @@
 """The graph daemon under a crowd of nodes, beside ros2cli's own where that can be imported.
 
-    python -m benchmarks.graph_daemon [--small] [--storms N] [--json FILE] [--plot FILE]
+    python -m benchmarks.graph_daemon [--small] [--storms N] [--json FILE]
 
 Everything happens in a network namespace of its own, so root is needed (or user namespaces), and
 iproute2. ros2cli is found by PYTHONPATH or where it is installed; without it only our daemon is
@@ -117,7 +117,6 @@ def main() -> None:
     parser.add_argument("--small", action="store_true")
     parser.add_argument("--storms", type=int, default=0, help="default: 3, small: 1")
     parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--plot", type=Path, metavar="FILE")
     arguments = parser.parse_args()
     if not is_inside():
         enter_namespace("benchmarks.graph_daemon")
@@ -139,12 +138,9 @@ def main() -> None:
     title = f"{size.nodes} nodes in {size.processes} processes, {os.cpu_count()} CPUs"
     print("\n".join([title, report.table(subjects), ""]))
     for goal in report.goals(subjects):
-        missed = "" if goal.met else "  <- missed"
-        print(f"{goal.what}: {goal.measured} (goal: {goal.goal}){missed}")
+        print(goal.line)
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(plain(title, storms, subjects), indent=2) + "\n")
-    if arguments.plot is not None:
-        arguments.plot.write_text(report.picture(title, subjects))
 
 
 def plain(title: str, storms: int, subjects: report.Subjects) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What was measured of the two daemons, as a table, against the goals, and as a picture."""
+"""What was measured of the two daemons, as a table and against the goals."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Final
 
 from benchmarks.goal import Goal
-from benchmarks.graph_daemon.chart import chart
 from benchmarks.graph_daemon.daemons import OURS, STOCK
 from benchmarks.graph_daemon.measures import Figures
 
@@ -28,16 +27,6 @@ _SILENT: Final = "beside a silent client, longest"
 _START: Final = "after stop, stock start"
 _SHORT: Final = "address change, too few for"
 _COUNTS: Final = ("failed", "fewest nodes", "seen late", "at first", "repeated")
-_PICTURE: Final = (
-    "one client, median",
-    "32 clients, p99",
-    "burst of 32, p99",
-    _SILENT,
-    "storm, p99 of bursts of 16",
-    "late join, all nodes after",
-    _START,
-    "node list",
-)
 
 
 def is_count(name: str) -> bool:
@@ -55,14 +44,6 @@ def to_json(subjects: Subjects) -> dict[str, dict[str, float | None]]:
     return {
         subject: {name: None if math.isinf(value) else value for name, value in figures.items()}
         for subject, figures in subjects.items()
-    }
-
-
-def from_json(document: Mapping[str, Mapping[str, float | None]]) -> dict[str, Figures]:
-    """The inverse of `to_json`."""
-    return {
-        subject: {name: math.inf if value is None else value for name, value in figures.items()}
-        for subject, figures in document.items()
     }
 
 
@@ -99,11 +80,6 @@ def goals(subjects: Subjects) -> list[Goal]:
     short = ours[_SHORT]
     found.append(Goal(_SHORT, "never", written(_SHORT, short), not short))
     return found
-
-
-def picture(title: str, subjects: Subjects) -> str:
-    """An SVG of the times."""
-    return chart(f"Graph daemon: {title}", _PICTURE, subjects)
 
 
 def _beside(name: str, factor: float, ours: Figures, stock: Figures) -> Goal:

@@ -179,7 +179,7 @@ class Background(Struct):
 
 
 async def run_ahead_of(publisher: Publisher, stop: StopRequests) -> None:
-    """Run before what starts, and before what ends, see docs/decisions/running-ahead.md.
+    """Run before what starts, and before what ends, see docs/decisions/start.md.
 
     In between the nodes go on undisturbed: importing ROS for a parameter that is set takes half a
     second, and messages of others were 50 ms late while that ran ahead.

@@ -157,7 +157,7 @@ class UnitRow(Struct, frozen=True, kw_only=True):
     memory_kind: Literal["unknown", "pss", "rss", "shared"] | None
     """`pss`, `rss`, `shared` (the container's), `unknown` or null"""
     cgroup: GroupUsage | UnsetType | None = UNSET
-    """usage of its [control group](cgroups.md#usage); null without one, and for a component without a process of its own"""  # noqa: E501
+    """usage of its [control group](resources.md#usage); null without one, and for a component without a process of its own"""  # noqa: E501
 
 
 class RestartRecord(Struct, frozen=True):

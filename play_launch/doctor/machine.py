@@ -53,7 +53,7 @@ rmw_cyclonedds configures it, creates no more."""
 _CYCLONE: Final = "rmw_cyclonedds_cpp"
 _LARGEST_BUFFER: Final = Path("/proc/sys/net/core/rmem_max")
 _ENOUGH_BUFFER: Final = 4 * 1024**2
-"""Bytes, as our participants ask for: see docs/decisions/own-participants.md."""
+"""Bytes, as our participants ask for: see docs/decisions/participants.md."""
 _DDS_PORT: Final = 7400
 _PORTS_PER_DOMAIN: Final = 250
 _PORTS_USED: Final = 118
@@ -109,7 +109,7 @@ def control_groups() -> CheckResult:
     if not missing:
         return ok(subject, f"{says}, with {', '.join(_CONTROLLERS)}")
     says = f"{says}, without {', '.join(missing)}: no limits that need these"
-    return ok(subject, says, "see docs/cgroups.md#where-they-are-made")
+    return ok(subject, says, "see docs/resources.md#where-they-are-made")
 
 
 def protection_keys() -> CheckResult:

@@ -159,7 +159,7 @@ class ProcessActor:
     async def _clean_up(self) -> None:
         """Remove what its process left in the system."""
         # Processes that publish to it, of this system or another, would go on writing into its
-        # memory, and may deadlock there (docs/fastdds.md).
+        # memory, and may deadlock there (docs/dds.md).
         if self._was_killed:
             await self._system.launcher.clean_up()
 

@@ -305,7 +305,7 @@ def is_up(view: SystemView) -> bool:
 
 
 def exit_code(view: SystemView, final: SystemView, signum: int | None) -> int:
-    """Give the exit code of a run; docs/exit-codes.md explains it.
+    """Give the exit code of a run; docs/control.md#exit-codes explains it.
 
     Args:
         view: The system at the moment in which the run began to end, so before it was stopped.

@@ -346,7 +346,11 @@ def test_a_file_over_itself_is_itself(system: dict[str, Any]) -> None:
     assert resolved(read(twice)) == resolved(read({"main.yaml": file(system)}))
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "including.md").read_text(encoding="utf-8")
+PAGE = (
+    (Path(__file__).parents[2] / "docs" / "files.md")
+    .read_text("utf-8")
+    .partition("## In editors")[0]
+)
 EXAMPLES = dict(re.findall(r"<!-- file: (\S+) -->\n```yaml\n(.*?)```\n", PAGE, re.DOTALL))
 
 

@@ -50,6 +50,16 @@ def test_cpp_is_formatted() -> None:
     run(str(program), "--dry-run", "--Werror", *sources)
 
 
+def test_the_site_is_built_without_warnings_and_its_links_lead_somewhere(tmp_path: Path) -> None:
+    run(sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path))
+    for page in tracked("*.md"):
+        if not page.startswith("docs/"):
+            text = (ROOT / page).read_text("utf-8")
+            links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text)
+            here = (ROOT / page).parent
+            assert not [link for link in links if not (here / link).exists()], page
+
+
 def test_a_file_holds_one_subject() -> None:
     names = tracked("*.py", "*.cpp", "*.hpp", "*.cmake", "CMakeLists.txt")
     lines = {name: len((ROOT / name).read_bytes().splitlines()) for name in names}

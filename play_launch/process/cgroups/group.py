@@ -22,11 +22,11 @@ SUPERVISOR: Final = "play-launch-supervisor"
 CONTAINER: Final = "container"
 DELEGATION_FIX: Final = (
     "systemd-run --user --scope -p Delegate=yes play-launch ... (by root without --user), "
-    "Delegate=yes in the systemd unit, or a base_path; in Docker and Podman see docs/cgroups.md"
+    "Delegate=yes in the systemd unit, or a base_path; in Docker and Podman see docs/resources.md"
 )
 _CONTROLLER_FIX: Final = (
     "Delegate=cpu cpuset io memory pids in a drop-in of user@.service or in the unit of "
-    "play-launch; for other causes see docs/cgroups.md"
+    "play-launch; for other causes see docs/resources.md#where-they-are-made"
 )
 _SESSION: Final = re.compile(r"play-launch-([0-9]+)-([0-9]+)-([0-9]+)", re.ASCII)
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9_~:\[\]-]")
@@ -127,7 +127,7 @@ class Group:
             except OSError as error:
                 yield (
                     f"{file} cannot be set to {value}: {error.strerror}; fix: leave "
-                    "it out on this machine, see docs/cgroups.md"
+                    "it out on this machine, see docs/resources.md#where-they-are-made"
                 )
 
     @property

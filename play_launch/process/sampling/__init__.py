@@ -1,1 +1,1 @@
-"""Samples of processes, control groups and the machine: see docs/decisions/sampling.md."""
+"""Samples of processes, control groups and the machine: see docs/decisions/recording.md#samples."""

@@ -1,7 +1,7 @@
 """Records topics of ROS: starts the program `topic_recorder` and passes on what it makes.
 
 Begin with :class:`.supervision.TopicRecording`. Requests for the pre-crash buffer are here, as they
-need nothing of it. ``docs/decisions/topic-recorder.md`` has the reasons for a program.
+need nothing of it. ``docs/decisions/recording.md#topics`` has the reasons for a program.
 """
 
 from __future__ import annotations
