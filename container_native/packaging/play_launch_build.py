@@ -21,6 +21,8 @@ get_requires_for_build_sdist = skbuild.get_requires_for_build_sdist
 build_sdist = skbuild.build_sdist
 
 Settings = dict[str, list[str] | str] | None
+_ROS = "ros"
+"""Our setting: which distribution's wheels to build against, where no ROS is sourced."""
 
 
 def ros_is_sourced(environment: Mapping[str, str]) -> bool:
@@ -43,13 +45,17 @@ def sourced_python_path(environment: Mapping[str, str]) -> str:
     return os.pathsep.join(dict.fromkeys([*present, *ours]))
 
 
-def ros_wheels(pyproject: Path) -> list[str]:
+def ros_wheels(pyproject: Path, ros: str) -> list[str]:
     """Return the pinned wheels to build against, from the one place that pins them."""
     with pyproject.open("rb") as file:
         settings = tomllib.load(file)
-    run: list[str] = settings["project"]["optional-dependencies"]["jazzy"]
-    build: list[str] = settings["tool"]["play-launch"]["build"]["wheels"]
-    return sorted({*run, *build})
+    run = settings["project"]["optional-dependencies"]
+    build = settings["tool"]["play-launch"]["build"]
+    if ros not in run:
+        _stop_on(
+            f"there are no wheels of ROS {ros}; -C ros=NAME is one of {', '.join(sorted(run))}"
+        )
+    return sorted({*run[ros], *build[ros], *build["tools"]})
 
 
 def missing_tools(*, python_interfaces: bool = False) -> str | None:
@@ -96,12 +102,13 @@ def _compiles_python(settings: Settings) -> bool:
 
 
 def _prepare(settings: Settings) -> Settings:
-    """Stop with a sentence when something is missing; else make the environment CMake's."""
+    """Stop with a sentence when something is missing; else give CMake what it needs."""
     compiles_python = _compiles_python(settings)
     _stop_on(missing_tools(python_interfaces=compiles_python) or missing_ros(os.environ))
     if ros_is_sourced(os.environ):
         os.environ["PYTHONPATH"] = sourced_python_path(os.environ)
-    return {**(settings or {}), "wheel.py-api": ""} if compiles_python else settings
+    ours = {"wheel.py-api": ""} if compiles_python else {}
+    return {**{name: value for name, value in (settings or {}).items() if name != _ROS}, **ours}
 
 
 def _stop_on(problem: str | None) -> None:
@@ -112,11 +119,11 @@ def _stop_on(problem: str | None) -> None:
 def get_requires_for_build_wheel(config_settings: Settings = None) -> list[str]:
     """Return what must be installed before a wheel is built (PEP 517)."""
     _stop_on(missing_tools(python_interfaces=_compiles_python(config_settings)))
-    wheels = ros_wheels(Path("pyproject.toml"))
+    wheels = ros_wheels(Path("pyproject.toml"), str((config_settings or {}).get(_ROS, "jazzy")))
     if ros_is_sourced(os.environ):
         # A sourced ROS imports these as packages of the system, which build isolation hides.
         wheels = [each for each in wheels if not each.startswith(("ros-", "cmeel-"))]
-    return [*skbuild.get_requires_for_build_wheel(config_settings), *wheels]
+    return [*skbuild.get_requires_for_build_wheel(), *wheels]
 
 
 def build_wheel(

@@ -28,9 +28,10 @@ def backend() -> ModuleType:
     return module
 
 
-def test_the_wheels_are_pinned_once(backend: ModuleType) -> None:
-    wheels = backend.ros_wheels(NATIVE / "pyproject.toml")
-    assert "ros-jazzy-rclpy==7.1.6" in wheels
+@pytest.mark.parametrize("ros", ["jazzy", "kilted"])
+def test_the_wheels_are_pinned_once(backend: ModuleType, ros: str) -> None:
+    wheels = backend.ros_wheels(NATIVE / "pyproject.toml", ros)
+    assert any(wheel.startswith(f"ros-{ros}-rclpy==") for wheel in wheels)
     names = [wheel.split("=")[0].split(">")[0].split("<")[0] for wheel in wheels]
     ros = [wheel for wheel in wheels if wheel.startswith("ros-")]
     assert all("==" in wheel for wheel in ros)
@@ -50,6 +51,16 @@ def test_no_wheel_is_asked_for_where_ros_is_sourced(
     assert {"catkin-pkg", "empy", "lark-parser", "numpy", "setuptools"} <= {
         re.split("[=<>]", name)[0] for name in required
     }
+
+
+def test_another_ros_is_refused_with_those_that_there_are(
+    backend: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(NATIVE)
+    required = backend.get_requires_for_build_wheel({"ros": "kilted"})
+    assert "ros-kilted-rmw-fastrtps-cpp==9.3.3" in required
+    with pytest.raises(SystemExit, match=r"no wheels of ROS humble.* one of jazzy, kilted"):
+        backend.get_requires_for_build_wheel({"ros": "humble"})
 
 
 def test_a_missing_compiler_is_one_sentence(
