@@ -185,7 +185,7 @@ def test_composition_interfaces_that_we_installed_ourselves_do_not_count(
     tmp_path: Path, whose: str
 ) -> None:
     """The next installation removes them."""
-    manifest = (NATIVE / "interfaces" / "composition_interfaces" / "package.xml").read_text()
+    manifest = (NATIVE / "composition_interfaces" / "package.xml").read_text()
     if whose == "ros":
         manifest = manifest.replace("<built_by>play_launch_container</built_by>", "")
     folder = tmp_path / "share" / "composition_interfaces"
