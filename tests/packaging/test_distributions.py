@@ -11,7 +11,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 NATIVE = ROOT / "container_native"
-INTERFACES = ROOT / "play_launch_msgs"
+INTERFACES = ROOT / "interfaces" / "play_launch_msgs"
 
 
 def test_one_version_stands_everywhere() -> None:
@@ -20,7 +20,11 @@ def test_one_version_stands_everywhere() -> None:
     assert projects[1]["project"]["version"] == version
     extra = projects[0]["project"]["optional-dependencies"]["jazzy"]
     assert extra == [f"play-launch-container[jazzy]=={version}"]
-    for manifest in (*ROOT.glob("*/package.xml"), *NATIVE.glob("*/package.xml")):
+    for manifest in (
+        *ROOT.glob("*/*/package.xml"),
+        NATIVE / "package.xml",
+        *NATIVE.glob("*/package.xml"),
+    ):
         assert f"<version>{version}</version>" in manifest.read_text(), manifest
     assert f"version: {version}\n" in (ROOT / "CITATION.cff").read_text()
     assert f'set(PLAY_LAUNCH_VERSION "{version}")' in (NATIVE / "CMakeLists.txt").read_text()

@@ -19,7 +19,7 @@ from play_launch.container.cdr import messages
 from play_launch.container.cdr.layout import CdrError, Layout, text_bytes
 from play_launch.container.cdr.messages import LOG, PROCESS_STATS, log_message
 
-DEFINITIONS = Path(__file__).resolve().parents[3] / "play_launch_msgs"
+DEFINITIONS = Path(__file__).resolve().parents[3] / "interfaces" / "play_launch_msgs"
 LAYOUTS = {
     "".join(word.title() for word in name.split("_")): layout
     for name, layout in vars(messages).items()
