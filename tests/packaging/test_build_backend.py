@@ -33,9 +33,9 @@ def test_the_wheels_are_pinned_once(backend: ModuleType, ros: str) -> None:
     wheels = backend.ros_wheels(NATIVE / "pyproject.toml", ros)
     assert any(wheel.startswith(f"ros-{ros}-rclpy==") for wheel in wheels)
     names = [wheel.split("=")[0].split(">")[0].split("<")[0] for wheel in wheels]
-    ros = [wheel for wheel in wheels if wheel.startswith("ros-")]
-    assert all("==" in wheel for wheel in ros)
-    assert len([name for name in names if name.startswith("ros-")]) == len(set(ros))
+    pinned = [wheel for wheel in wheels if wheel.startswith("ros-")]
+    assert all("==" in wheel for wheel in pinned)
+    assert len([name for name in names if name.startswith("ros-")]) == len(set(pinned))
 
 
 def test_no_wheel_is_asked_for_where_ros_is_sourced(
