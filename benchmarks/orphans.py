@@ -219,13 +219,13 @@ def owners_of_segments(processes: list[psutil.Process]) -> dict[str, str]:
             command = " ".join(process.cmdline())
             for link in Path(f"/proc/{process.pid}/fd").iterdir():
                 name = Path(os.readlink(link)).name  # noqa: PTH115 - not to be followed
-                if name.startswith("fastrtps_"):
+                if name.startswith(("fastrtps_", "fastdds_")):
                     found[name.removesuffix("_el")] = command
     return found
 
 
 def files_of_fastdds() -> list[Path]:
-    return sorted(SHARED_MEMORY.glob("*fastrtps_*"))
+    return sorted(SHARED_MEMORY.glob("*fast[rd]*_*"))
 
 
 def run_once(folder: Path, phase: str, moment: float) -> Trial:

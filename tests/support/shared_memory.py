@@ -21,7 +21,7 @@ def segments_of(pids: Iterable[int]) -> set[Path]:
             for entry in Path(f"/proc/{pid}/fd").iterdir():
                 with suppress(FileNotFoundError):  # closed since
                     lock = entry.readlink()
-                    if match := re.fullmatch(r"(fastrtps_[0-9a-f]{16})_el", lock.name):
+                    if match := re.fullmatch(r"(fast(?:rtps|dds)_[0-9a-f]{16})_el", lock.name):
                         found.add(SHARED_MEMORY / match[1])
     return found
 
@@ -35,6 +35,6 @@ def ports_left_in(domain: int) -> set[str]:
     ports = {
         int(match[1]): name
         for name in sweep().removed
-        if (match := re.fullmatch(r"fastrtps_port(\d+)", name))
+        if (match := re.fullmatch(r"fast(?:rtps|dds)_port(\d+)", name))
     }
     return {name for port, name in ports.items() if first <= port < first + 250}

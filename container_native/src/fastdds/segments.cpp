@@ -14,8 +14,10 @@ namespace play_launch {
 namespace {
 
 // Fast DDS keeps a lock file open for every segment and port that a process owns:
-// fastrtps_<name>_el beside fastrtps_<name>, and a semaphore sem.fastrtps_<name>_mutex.
+// fastrtps_<name>_el beside fastrtps_<name>, and a semaphore sem.fastrtps_<name>_mutex. From
+// version 3 on fastdds_ takes the place of fastrtps_.
 constexpr std::string_view kPrefix = "/dev/shm/fastrtps_";
+constexpr std::string_view kNewPrefix = "/dev/shm/fastdds_";
 constexpr std::string_view kLockSuffix = "_el";
 constexpr std::string_view kFolder = "/dev/shm/";
 
@@ -67,7 +69,8 @@ void unlink_own_segments() noexcept {
       return;
     }
     const std::string_view lock(target.data(), static_cast<std::size_t>(length));
-    if (!lock.starts_with(kPrefix) || !lock.ends_with(kLockSuffix)) {
+    const bool is_theirs = lock.starts_with(kPrefix) || lock.starts_with(kNewPrefix);
+    if (!is_theirs || !lock.ends_with(kLockSuffix)) {
       return;
     }
     std::string_view name = lock.substr(kFolder.size());

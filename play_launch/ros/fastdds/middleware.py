@@ -19,7 +19,7 @@ PROFILE_VARIABLES: Final = (
     "FASTDDS_DEFAULT_PROFILES_FILE",
     "FASTRTPS_DEFAULT_PROFILES_FILE",
 )
-"""The second one is read by Fast DDS 2, the RMW of ROS 2 Jazzy."""
+"""The second one is read by Fast DDS 2, the RMW of ROS 2 Jazzy, the first one by later versions."""
 PROFILE_FILES: Final = ("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml")
 """Fast DDS reads these from the working directory, unless it is set to skip them."""
 _SKIP_PROFILE_FILES: Final = "SKIP_DEFAULT_XML_FILE"

@@ -32,13 +32,17 @@ from tempfile import NamedTemporaryFile
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.substitutions import ament_prefixes
-from play_launch.ros.fastdds.middleware import files_here, is_fastdds, profile_in_use
+from play_launch.ros.fastdds.middleware import (
+    PROFILE_VARIABLES,
+    files_here,
+    is_fastdds,
+    profile_in_use,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
 TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
-_PROFILE: Final = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _OLD_RANGE: Final = "ROS_LOCALHOST_ONLY"
 _PEERS: Final = "ROS_STATIC_PEERS"
@@ -105,7 +109,7 @@ def as_our_own(environment: Mapping[str, str], rmw: str) -> Iterator[OwnParticip
         file.write(_profile(chosen))
         file.flush()
         # With LOCALHOST rmw_fastrtps adds shared memory to whatever a profile says.
-        variables: dict[str, str | None] = {_PROFILE: file.name}
+        variables: dict[str, str | None] = {_profile_variable(): file.name}
         if chosen.on_loopback:
             variables |= _ANY_RANGE
         until_made.callback(_set, {name: os.environ.get(name) for name in variables})
@@ -163,6 +167,12 @@ def _own_function(name: str) -> Callable[..., int] | None:
             continue
         return function
     return None
+
+
+def _profile_variable() -> str:
+    """Name the variable that the Fast DDS of this process reads: from version 3 on the new one."""
+    new, old = PROFILE_VARIABLES
+    return new if "/libfastdds.so" in Path("/proc/self/maps").read_text(encoding="utf-8") else old
 
 
 def _profile(chosen: OwnParticipant) -> str:

@@ -1,6 +1,7 @@
 """Removes what killed processes left of Fast DDS's shared memory.
 
-Fast DDS 2.14 (the RMW of ROS 2 Jazzy) keeps these files in `/dev/shm`:
+Fast DDS 2.14 (the RMW of ROS 2 Jazzy) keeps these files in `/dev/shm`; from version 3 on (Kilted)
+their names have `fastdds_` in place of `fastrtps_`:
 
 - `fastrtps_<16 hex digits>`: the data of one participant. The lock file `..._el` is locked with
   flock(2) from before the segment is made until its owner ends.
@@ -49,8 +50,9 @@ _LONGEST_WAIT: Final = 2.0
 _BETWEEN_TRIES: Final = 0.005
 _LONGEST_READ: Final = 2.0
 """Seconds in which what all processes map is read; usually it is some milliseconds."""
-_SEGMENT = re.compile(r"(fastrtps_[0-9a-f]{16})(?:_el)?")
-_PORT = re.compile(r"(?:sem\.)?(fastrtps_port\d+)(?:_el|_sl|_mutex)?")
+_SEGMENT = re.compile(r"(fast(?:rtps|dds)_[0-9a-f]{16})(?:_el)?")
+_PORT = re.compile(r"(?:sem\.)?(fast(?:rtps|dds)_port\d+)(?:_el|_sl|_mutex)?")
+_IS_THEIRS = re.compile(r"(?:sem\.)?fast(?:rtps|dds)_")
 
 
 class SweepReport(Struct):
@@ -81,7 +83,7 @@ class FileCount(Struct, frozen=True):
 
 def count_files(folder: Path = SHARED_MEMORY) -> FileCount:
     """Count without changing anything; raises OSError where the folder cannot be read."""
-    names = [path.name for path in folder.iterdir() if "fastrtps" in path.name]
+    names = [path.name for path in folder.iterdir() if _IS_THEIRS.match(path.name)]
     locks = [name for name in names if name.endswith(("_el", "_sl"))]
     return FileCount(len(names), sum(_is_left(folder / name) for name in locks))
 

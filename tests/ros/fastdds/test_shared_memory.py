@@ -65,8 +65,11 @@ def session() -> Iterator[SessionGuard]:
     guarding.close()
 
 
+NAME = re.compile("fast(?:rtps|dds)_")
+
+
 def files() -> set[str]:
-    return {path.name for path in SHARED_MEMORY.glob("*fastrtps_*")}
+    return {path.name for path in SHARED_MEMORY.iterdir() if NAME.search(path.name)}
 
 
 def held_by(pid: int) -> set[str]:
@@ -74,7 +77,7 @@ def held_by(pid: int) -> set[str]:
     owned = set()
     for entry in Path(f"/proc/{pid}/fd").iterdir():
         lock = entry.readlink()
-        match = re.fullmatch(r"(fastrtps_\w+?)_[es]l", lock.name)
+        match = re.fullmatch(r"(fast(?:rtps|dds)_\w+?)_[es]l", lock.name)
         if match:
             owned |= {match[1], lock.name}
             if "port" in match[1]:
