@@ -40,9 +40,10 @@ sys.addaudithook(hook)
 LOCKS = """
 import fcntl, os, sys
 for number in map(int, sys.argv[1].split(",")):
-    lock = os.open(f"/dev/shm/fastrtps_port{number}_el", os.O_CREAT | os.O_RDWR, 0o666)
-    fcntl.flock(lock, fcntl.LOCK_EX)
-    os.set_inheritable(lock, True)
+    for version in ("fastrtps", "fastdds"):
+        lock = os.open(f"/dev/shm/{version}_port{number}_el", os.O_CREAT | os.O_RDWR, 0o666)
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        os.set_inheritable(lock, True)
 os.execv(sys.argv[2], sys.argv[2:])
 """
 PORTS = range(7000, 7003)

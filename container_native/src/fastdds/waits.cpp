@@ -102,17 +102,39 @@ int unlock(pthread_mutex_t* mutex) noexcept {
 
 ssize_t sendto(int socket, const void* data, std::size_t size, int flags, const sockaddr* address,
                socklen_t address_size) noexcept {
-  if (!is_withholding || address == nullptr || address_size > sizeof(sockaddr_storage)) {
+  if (!is_withholding) {
     return ::sendto(socket, data, size, flags, address, address_size);
+  }
+  iovec part{const_cast<void*>(data), size};
+  msghdr message{};
+  message.msg_name = const_cast<sockaddr*>(address);
+  message.msg_namelen = address_size;
+  message.msg_iov = &part;
+  message.msg_iovlen = 1;
+  return fastdds::sendmsg(socket, &message, flags);
+}
+
+ssize_t sendmsg(int socket, const msghdr* message, int flags) noexcept {
+  if (!is_withholding || message->msg_name == nullptr ||
+      message->msg_namelen > sizeof(sockaddr_storage)) {
+    return ::sendmsg(socket, message, flags);
+  }
+  const std::span parts(message->msg_iov, message->msg_iovlen);
+  std::size_t size = 0;
+  for (const iovec& part : parts) {
+    size += part.iov_len;
   }
   // One without room is lost, as any datagram may be.
   void* const room =
       withheld_count < kMostDatagrams ? std::malloc(sizeof(Datagram) + size) : nullptr;
   if (room != nullptr) {
     ++withheld_count;
-    withheld = new (room) Datagram{withheld, socket, flags, address_size, {}, size};
-    std::memcpy(&withheld->address, address, address_size);
-    std::memcpy(withheld + 1, data, size);
+    withheld = new (room) Datagram{withheld, socket, flags, message->msg_namelen, {}, size};
+    std::memcpy(&withheld->address, message->msg_name, message->msg_namelen);
+    auto* place = reinterpret_cast<std::byte*>(withheld + 1);
+    for (const iovec& part : parts) {
+      std::memcpy(std::exchange(place, place + part.iov_len), part.iov_base, part.iov_len);
+    }
   }
   return static_cast<ssize_t>(size);
 }
@@ -168,6 +190,9 @@ std::uintptr_t replacement(std::string_view name) noexcept {
   }
   if (name == "sendto") {
     return reinterpret_cast<std::uintptr_t>(&sendto);
+  }
+  if (name == "sendmsg") {
+    return reinterpret_cast<std::uintptr_t>(&sendmsg);
   }
   return name == "bind" ? reinterpret_cast<std::uintptr_t>(&bind) : 0;
 }

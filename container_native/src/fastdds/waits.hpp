@@ -35,9 +35,11 @@ int timedwait(pthread_cond_t* condition, pthread_mutex_t* mutex, const timespec*
 int timedlock(pthread_mutex_t* mutex, const timespec* deadline) noexcept;
 int unlock(pthread_mutex_t* mutex) noexcept;
 
-/// sendto() that sends later, and reports that it did at once, while the calling thread withholds.
+/// sendto() and sendmsg() that send later, and report that they did at once, while the calling
+/// thread withholds. Fast DDS 2 sends datagrams by the first, version 3 by the second.
 ssize_t sendto(int socket, const void* data, std::size_t size, int flags, const sockaddr* address,
                socklen_t address_size) noexcept;
+ssize_t sendmsg(int socket, const msghdr* message, int flags) noexcept;
 
 /// Has what the calling thread sends withheld, or sends it.
 ///

@@ -21,8 +21,12 @@
 #include "base/elf.hpp"
 #include "base/next_function.hpp"
 
+#if __has_include(<rosidl_runtime_c/service_type_support_struct.h>)
+#include <rosidl_runtime_c/service_type_support_struct.h>
+#else  // the tests of isolation, which need no ROS
 struct rosidl_message_type_support_t;
 struct rosidl_service_type_support_t;
+#endif
 
 namespace {
 
@@ -191,6 +195,19 @@ const Type* type_support(void* library, const char* name) {
   return function != nullptr ? function() : nullptr;
 }
 
+#if __has_include(<rosidl_runtime_c/service_type_support_struct.h>)
+/// What the middleware of Kilted asks for as well.
+void look_up_parts_of(const Service* type, const char* identifier) {
+  for (const Message* const part : {type->request_typesupport, type->response_typesupport}) {
+    if (part != nullptr) {
+      rosidl_typesupport_cpp::get_message_typesupport_handle_function(part, identifier);
+    }
+  }
+}
+#else
+void look_up_parts_of(const Service*, const char*) {}
+#endif
+
 }  // namespace
 
 void look_up_type_supports(const char* library) {
@@ -211,6 +228,7 @@ void look_up_type_supports(const char* library) {
       if (const Service* const type = type_support<Service>(handle, name)) {
         identifiers.for_each([type](const char* identifier) {
           rosidl_typesupport_cpp::get_service_typesupport_handle_function(type, identifier);
+          look_up_parts_of(type, identifier);
         });
       }
     }
