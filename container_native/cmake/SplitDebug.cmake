@@ -1,8 +1,11 @@
 # Runs at the end of an installation: takes the debug information out of what was installed, and puts
 # it where gdb and `play-launch explain` look for it: <DEBUG_FOLDER>/.build-id/ab/cdef.debug. The
 # names of functions stay.
-file(GLOB_RECURSE files "$ENV{DESTDIR}${CMAKE_INSTALL_PREFIX}/lib/*")
-foreach(file IN LISTS files)
+foreach(installed IN LISTS CMAKE_INSTALL_MANIFEST_FILES)
+  set(file "$ENV{DESTDIR}${installed}")
+  if(NOT file MATCHES "/lib/" OR IS_SYMLINK "${file}")
+    continue()
+  endif()
   execute_process(
     COMMAND "${READELF}" --notes "${file}"
     OUTPUT_VARIABLE notes
