@@ -23,7 +23,8 @@ from tests.support.replay import finished, replaying
 from tests.support.scenes import container, node, written
 
 TIMEOUT = 60.0
-VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+FAST_DDS_3 = Path(sys.prefix, "lib", "libfastdds.so").exists()
+VARIABLE = f"{'FASTDDS' if FAST_DDS_3 else 'FASTRTPS'}_DEFAULT_PROFILES_FILE"
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 FASTDDS = "rmw_fastrtps_cpp"
 FIRST = 6
