@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from rclpy.utilities import get_rmw_implementation_identifier
 
 from play_launch.ros.fastdds.middleware import profile_in_use
 from play_launch.ros.fastdds.own_participant import as_our_own, decide
@@ -237,6 +238,7 @@ def test_an_existing_node_is_discovered_by_multicast() -> None:
 def test_children_do_not_get_what_is_ours(reach: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(RANGE, reach)
     before = dict(os.environ)
+    assert get_rmw_implementation_identifier() == FASTDDS  # and is loaded, as it is where we use it
     with as_our_own(os.environ, FASTDDS):
         assert dict(os.environ) == before
         given = finished(["/usr/bin/env"], code=0, env=os.environ).stdout
