@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,8 +12,9 @@ from msgspec.structs import asdict
 
 from play_launch import ExitCode
 from play_launch.cli import options
-from play_launch.cli.output import counted, fail, report, say
+from play_launch.cli.output import counted, fail, report, say, warn
 from play_launch.config.dependency import OnTimeout, StartRule
+from play_launch.config.machines import discovery_problems, part_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,10 +23,11 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
 
 
-def check(
+def check(  # noqa: PLR0917 - options, by name
     config: options.ConfigFile,
     arguments: options.ConfigArguments = None,
     as_json: options.Json = False,
+    machine: options.Machine = "",
     graph: Annotated[
         bool, typer.Option("--graph", help="Print what waits for what (depends_on).")
     ] = False,
@@ -57,6 +60,9 @@ def check(
         else:
             report(f"{config} cannot be used\n{error.for_people()}")
         return ExitCode.USAGE
+    if machine:
+        loaded = part(loaded, machine)
+    notes = [] if machine else discovery_problems(loaded, os.environ)
     started: list[dict[str, Any]] = []
     explained: dict[str, Any] = {}
     if explain:
@@ -65,9 +71,12 @@ def check(
         started = processes(loaded)
         explained = {"processes": started, "helpers": helpers(loaded)}
     if as_json:
-        values = {"valid": True, "problems": [], "config": _resolved(loaded), **explained}
+        values: dict[str, Any] = {"valid": True, "problems": [], "config": _resolved(loaded)}
+        values |= explained
         if graph:
             values["graph"] = _graph_values(loaded)
+        if loaded.machines:
+            values["warnings"] = notes
         say(json.dumps(values, ensure_ascii=False))
     elif graph:
         say(_graph_text(loaded))
@@ -77,10 +86,23 @@ def check(
         say(as_text(_resolved(loaded), started, explained["helpers"]))
     else:
         say(f"{config}: {describe(loaded)}")
+        for name in () if machine else loaded.machines:
+            say(f"  {name}: {describe(part_of(loaded, name))}")
+    if not as_json:
+        for text in notes:
+            warn(text)
     problems = [each for each in started if each["problem"]]
     for each in problems:
         report(f"{each['name']} ({each['place']}) cannot be started: {each['problem']}")
     return ExitCode.NODE_FAILED if problems else ExitCode.OK
+
+
+def part(config: ReplayConfig, machine: str) -> ReplayConfig:
+    """Return the part of a machine; a mistake ends the process."""
+    if machine not in config.machines:
+        known = ", ".join(config.machines) or "none"
+        fail(f"--machine: there is no machine {machine}; the configuration declares: {known}")
+    return part_of(config, machine)
 
 
 def _resolved(config: ReplayConfig) -> dict[str, object]:

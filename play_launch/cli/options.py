@@ -122,6 +122,15 @@ LogDir: TypeAlias = Annotated[
         show_default=False,
     ),
 ]
+Machine: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        "--machine",
+        metavar="NAME",
+        help="Only the part of this one of the machines in the configuration.",
+        show_default=False,
+    ),
+]
 Duration: TypeAlias = Annotated[
     float | None, time("Stop after this time: 30, 30s, 2min, 1h. Default: at Ctrl-C.")
 ]

@@ -35,6 +35,9 @@ def lines(rows: list[dict[str, Any]], width: int | None = None) -> list[str]:
     """Lay rows out for people; nodes stand below their container, details come last."""
     cells = [_cells(row) for row in rows]
     details = "DETAILS" if any(row[-1] for row in cells) else ""
+    if any("machine" in row for row in rows):
+        cells = [(row.get("machine", ""), *cell) for row, cell in zip(rows, cells, strict=True)]
+        return table(("MACHINE", *_TITLES, details), cells, words=4, width=width)
     return table((*_TITLES, details), cells, words=3, width=width)
 
 

@@ -39,6 +39,15 @@ def replay(  # noqa: PLR0917 - options, by name
         bool,
         typer.Option("--watch", help="Apply the configuration whenever a file of it changes."),
     ] = False,
+    machine: options.Machine = "",
+    detach: Annotated[
+        bool,
+        typer.Option(
+            "--detach",
+            help="With machines: end once all are up, and leave them running; a later replay "
+            "of the same system adopts them.",
+        ),
+    ] = False,
 ) -> int:
     """Start a system, keep it running, and record it.
 
@@ -62,6 +71,8 @@ def replay(  # noqa: PLR0917 - options, by name
         as_json=as_json,
         watch=watch,
         manager=manager,
+        machine=machine,
+        detach=detach,
     )
 
 
@@ -90,11 +101,34 @@ def bring_up(
     as_json: bool = False,
     watch: bool = False,
     manager: ServiceManager | None = None,
+    machine: str = "",
+    detach: bool = False,
 ) -> int:
     """Run a system until its end and return the exit code; mistakes end the process."""
     if watch and is_recording(config):
         fail(f"--watch: {config} is a recording, which does not change; leave out --watch")
     loaded = _load(config, duration, arguments)
+    if machine:
+        from play_launch.cli.check import part  # noqa: PLC0415
+
+        loaded = part(loaded, machine)
+    elif loaded.machines:
+        if watch:
+            fail("--watch: with machines, change the running system by play-launch apply")
+        from play_launch.cli.run import description_of  # noqa: PLC0415
+        from play_launch.cli.run_machines import run_machines  # noqa: PLC0415
+
+        return run_machines(
+            loaded,
+            description_of(loaded),
+            arguments=arguments,
+            log_folder=log_dir,
+            as_json=as_json,
+            quiet=quiet,
+            detach=detach,
+        )
+    if detach:
+        fail("--detach is for configurations with machines; a systemd unit runs a single one")
     _require_machine()
     _require_ros()
     _require_log_folder(loaded)

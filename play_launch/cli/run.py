@@ -164,7 +164,7 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
         run_ahead()
     with RunSignals() as signals, contextlib.ExitStack() as opened:
         session = open_session(
-            _description(config),
+            description_of(config),
             log_folder=options.log_folder or config.log_dir,
             record=config.record,
         )
@@ -227,7 +227,7 @@ async def _until_the_end(
             )
 
 
-def _description(config: ReplayConfig) -> SessionDescription:
+def description_of(config: ReplayConfig) -> SessionDescription:
     return SessionDescription(
         name=config.name,
         config_name=config.source.name,

@@ -43,7 +43,7 @@ def systemd_unit(
     environment, left_out = _environment(loaded)
     service = Service(
         config=loaded,
-        program=_program(),
+        program=program(),
         folder=Path.cwd(),
         user="" if for_user else _user(),
         environment=environment,
@@ -73,7 +73,7 @@ def _loaded(path: Path, arguments: Sequence[str]) -> ReplayConfig:
         fail(f"{path} cannot be used, no unit was written\n{error.for_people()}")
 
 
-def _program() -> Path:
+def program() -> Path:
     started = Path(sys.argv[0])
     if started.name == _COMMAND and started.is_file():
         return started.absolute()

@@ -60,10 +60,16 @@ class Dependency(Struct, frozen=True, kw_only=True):
     timeout: float = math.inf
     """Seconds, from when the dependent waits and the unit does not wait itself any more."""
     on_timeout: OnTimeout = OnTimeout.FAIL
+    machine: str = ""
+    """Where the unit runs, if that is another machine; its session reports the condition."""
 
     def __str__(self) -> str:
         """Write it so that it fits behind "waits for"."""
         name = self.unit.rpartition(":")[2]
+        place = f" on {self.machine}" if self.machine else ""
+        return self._text(name) + place
+
+    def _text(self, name: str) -> str:
         return {
             Condition.STARTED: f"{name} to be started",
             Condition.LOADED: f"{name} to be loaded",

@@ -48,6 +48,8 @@ class _File(Struct, frozen=True):
     included_from: Location | None = None
     ancestors: tuple[str, ...] = ()
     """Real paths of the files that include it, from the first one on, itself not among them."""
+    machine: Cursor | None = None
+    """For its entries that name none."""
 
 
 class Documents:
@@ -109,6 +111,8 @@ class Documents:
         for inclusion in self._inclusions_in(includes, file):
             included = self._read(inclusion)
             if isinstance(included, Mapping):
+                if inclusion.machine is not None:
+                    included = _on_machine(included, inclusion.machine.node)
                 base = merge(base, Cursor(included, "", self._report))
             elif included is not None:
                 Cursor(included, "", self._report).expected("a configuration")
@@ -118,9 +122,11 @@ class Documents:
         is_list = isinstance(includes.node, Sequence)
         for entry in includes.elements() if is_list else (includes,):
             arguments: dict[str, str] = {}
+            machine: Cursor | None = None
             at_file: Cursor | None = entry
             if isinstance(entry.node, Mapping):
                 at_file = entry.value("file")
+                machine = entry.value("machine")
                 given = _arguments(entry)
                 if any(at.is_invalid for at in given.values()):
                     continue  # what follows from that would be reported as well
@@ -136,7 +142,8 @@ class Documents:
             content = self._content(at_file, path, ancestors)
             if content is not None:
                 arguments = {**file.arguments, **arguments}
-                yield _File(path, content, arguments, at_file.node.location, ancestors)
+                location = at_file.node.location
+                yield _File(path, content, arguments, location, ancestors, machine)
 
     def _content(self, at: Cursor, path: Path, ancestors: tuple[str, ...]) -> bytes | None:
         problem = ""
@@ -160,8 +167,8 @@ class Documents:
 
 def _arguments(entry: Cursor) -> dict[str, Cursor]:
     for key, value in entry.entries():
-        if key.key not in {"file", "arguments"}:
-            message = f"unknown key {excerpt(key.key)}; known here: file, arguments"
+        if key.key not in {"file", "arguments", "machine"}:
+            message = f"unknown key {excerpt(key.key)}; known here: file, arguments, machine"
             value.problem(message, key.location)
     at = entry.value("arguments")
     if at is None:
@@ -175,6 +182,23 @@ def _arguments(entry: Cursor) -> dict[str, Cursor]:
         else:
             value.expected("a value")
     return arguments
+
+
+def _on_machine(document: Mapping, machine: Node) -> Mapping:
+    """Return a document in which every container and node has a machine."""
+    by_key = dict(document.by_key)
+    for key in ("containers", "nodes"):
+        entry = by_key.get(key)
+        if entry is not None and isinstance(entry.value, Sequence):
+            default = {"machine": Entry("machine", machine.location, machine)}
+            items = tuple(
+                Mapping(item.location, {**default, **item.by_key})
+                if isinstance(item, Mapping)
+                else item
+                for item in entry.value.items
+            )
+            by_key[key] = Entry(key, entry.location, Sequence(entry.value.location, items))
+    return Mapping(document.location, by_key)
 
 
 def _check_version(at: Cursor) -> None:

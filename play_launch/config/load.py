@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from play_launch.config.includes import Documents
+from play_launch.config.machines import Placement, machines_at
 from play_launch.config.model import (
     DEFAULT_TOPICS,
     BeforeCrashConfig,
     ContainerType,
+    DiscoveryBy,
     KeepConfig,
     RecordConfig,
     ReplayConfig,
@@ -107,7 +109,9 @@ def _resolve(
         loading = document.composable_node_loading
     loading = loading or LoadingSection()
     groups = GroupRules(loading.cgroups, at.at_key(_LOADING).value("cgroups"))
-    shared = SharedContext(files, environment, start_rules, names, groups)
+    machines = machines_at(at.value("machines"))
+    placement = Placement(at, machines, None if document is None else document.machine)
+    shared = SharedContext(files, environment, start_rules, names, groups, placement)
     containers = _containers(at, shared, loading)
     processes = [resolve_process(item, shared) for item in items_of(at.value("nodes"), "nodes")]
     nodes = tuple(process for process in processes if process is not None)
@@ -134,6 +138,8 @@ def _resolve(
         nodes=nodes,
         start_rules=MappingProxyType(rules),
         managed=MappingProxyType(start_rules.managed(rules)),
+        machines=MappingProxyType(machines),
+        discovery=document.discovery.by if document.discovery else DiscoveryBy.MULTICAST,
     )
 
 

@@ -5,6 +5,7 @@ Nothing in here reads YAML. Durations are seconds, full names are absolute ROS n
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from enum import IntEnum, StrEnum
 from pathlib import Path
@@ -258,6 +259,43 @@ class ManagedConfig(Struct, frozen=True):
     timeout: float = 60.0
 
 
+class Service(StrEnum):
+    """What keeps a session running on another machine: systemd's manager, or nothing."""
+
+    USER = "user"
+    SYSTEM = "system"
+    NONE = "none"
+
+
+class MachineConfig(Struct, frozen=True, kw_only=True):
+    """A computer that runs a part of the system: this one, or one that ssh reaches.
+
+    `setup` are files that bash sources there, `copy` are absolute paths of files and folders here,
+    times are seconds. Without the coordinator it stops itself after `stop_after`.
+    """
+
+    name: str
+    local: bool = False
+    ssh: str = ""
+    setup: tuple[str, ...] = ()
+    play_launch: str = "play-launch"
+    environment: Mapping[str, str] = _EMPTY
+    service: Service = Service.USER
+    connect_timeout: float = 10.0
+    lost_after: float = 4.0
+    stop_after: float = math.inf
+    optional: bool = False
+    copy: tuple[Path, ...] = ()
+    max_clock_offset: float = 0.02
+
+
+class DiscoveryBy(StrEnum):
+    """How nodes of several machines find each other: by multicast, or by listed addresses."""
+
+    MULTICAST = "multicast"
+    PEERS = "peers"
+
+
 class ComposableNodeConfig(Struct, frozen=True, kw_only=True):
     """A node to load into a container.
 
@@ -308,6 +346,7 @@ class MemberConfig(Struct, frozen=True, kw_only=True):
     ros_arguments: tuple[str, ...] = ()
     restart: RestartLimits = RestartLimits()
     resources: Resources = Resources()
+    machine: str = ""
     line: int = 0
     file: str = ""
 
@@ -379,7 +418,8 @@ class ReplayConfig(Struct, frozen=True, kw_only=True):
     is the seconds after which the system is stopped, None for never. `graph_daemon` is whether
     the graph daemon of the ROS domain runs beside the nodes, and is asked what it sees.
     `start_rules` are by unit, see `play_launch.config.dependency`, for units that wait for
-    something, as are the nodes in `managed`.
+    something, as are the nodes in `managed`. `machine` is the one of `machines` that this is the
+    part of, empty for the whole.
     """
 
     name: str
@@ -399,6 +439,9 @@ class ReplayConfig(Struct, frozen=True, kw_only=True):
     nodes: tuple[ProcessConfig, ...] = ()
     start_rules: Mapping[str, StartRule] = _EMPTY
     managed: Mapping[str, ManagedConfig] = _EMPTY
+    machines: Mapping[str, MachineConfig] = _EMPTY
+    machine: str = ""
+    discovery: DiscoveryBy = DiscoveryBy.MULTICAST
 
     @property
     def members(self) -> tuple[ContainerConfig | ProcessConfig, ...]:

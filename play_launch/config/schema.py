@@ -21,10 +21,20 @@ from play_launch.config.model import (
     OnExit,
     Output,
 )
-from play_launch.config.section import ConfigSection, listed, nested, optional, raw, required
+from play_launch.config.section import (
+    ConfigSection,
+    listed,
+    mapped,
+    nested,
+    optional,
+    raw,
+    required,
+)
 from play_launch.config.sections import (
     CgroupsSection,
     DependencySection,
+    DiscoverySection,
+    MachineSection,
     RecordSection,
     ResourcesSection,
     RestartSection,
@@ -45,7 +55,11 @@ _REMAPPING: Final = any_of(
 _INCLUSION: Final[JsonSchema] = {
     "type": "object",
     "required": ["file"],
-    "properties": {"file": STRING_FORM, "arguments": mapping_form(kinds.SCALAR_FORM)},
+    "properties": {
+        "file": STRING_FORM,
+        "arguments": mapping_form(kinds.SCALAR_FORM),
+        "machine": STRING_FORM,
+    },
     "additionalProperties": False,
 }
 _FILE: Final = any_of(STRING_FORM, _INCLUSION)
@@ -111,6 +125,11 @@ class NodeSection(ConfigSection):
 class MemberSection(UnitSection):
     """Keys of what has a process of its own."""
 
+    machine = optional(
+        kinds.FILLED_TEXT,
+        "The one of machines that it runs on. By default that of the file.",
+        "vision",
+    )
     process_parameters = raw(
         any_of(_OF_NODES, list_form(any_of(STRING_FORM, _OF_NODES))),
         "Parameters for all nodes of the process, by their full names or patterns: parameter "
@@ -340,6 +359,19 @@ class DocumentSection(ConfigSection):
         LoadingSection,
         "Defaults for all containers.",
         {"container_type": "isolated"},
+    )
+    machines = mapped(
+        MachineSection,
+        "Computers that run the system together, by name.",
+        {"main": {"local": True}, "vision": {"ssh": "vision"}},
+    )
+    machine = optional(
+        kinds.FILLED_TEXT,
+        "The one of machines for entries without machine. By default the local one.",
+        "main",
+    )
+    discovery = nested(
+        DiscoverySection, "How nodes of several machines find each other.", {"by": "peers"}
     )
     containers = listed(
         ContainerSection,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.config.kinds import STRING_FORM, any_of, list_form
+from play_launch.config.kinds import STRING_FORM, any_of, list_form, mapping_form
 from play_launch.config.schema import DocumentSection
 
 if TYPE_CHECKING:
@@ -51,6 +51,8 @@ def _form(key: Key, definitions: dict[str, Any]) -> JsonSchema:
         definitions[name] = _section(key.section, definitions)
     # Beside a reference nothing else is read in this dialect.
     reference = {"allOf": [{"$ref": f"#/definitions/{name}"}]}
+    if key.is_mapping:
+        return mapping_form(reference)
     if not key.is_list:
         return reference
     return list_form(any_of(STRING_FORM, reference) if key.or_name else reference)

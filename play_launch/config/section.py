@@ -62,8 +62,9 @@ class Key(NamedTuple):
     raw: bool = False
     """Whether the section gets the YAML node in place of a value."""
     section: type[ConfigSection] | None = None
-    """The section of the value, or of each item in it where `is_list`."""
+    """The section of the value, or of each item in it where `is_list` or `is_mapping`."""
     is_list: bool = False
+    is_mapping: bool = False
     or_name: bool = False
     """Whether a string can stand in place of an item."""
     merging: bool = False
@@ -95,6 +96,12 @@ def listed(
     """Declare an optional key with a list of sections, which are checked one by one."""
     key = Key(core_schema.any_schema(), description, examples, raw=True, section=section)
     return key._replace(is_list=True, or_name=or_name)
+
+
+def mapped(section: type[ConfigSection], description: str, *examples: object) -> Any:
+    """Declare an optional key with sections by name, which are checked one by one."""
+    key = Key(core_schema.any_schema(), description, examples, raw=True, section=section)
+    return key._replace(is_mapping=True)
 
 
 def nested(section: type[SomeSection], description: str, *examples: object) -> SomeSection | None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from play_launch.config import kinds
 from play_launch.config.dependency import OF_UNITS, OnTimeout
+from play_launch.config.model import DiscoveryBy, Service
 from play_launch.config.resources import SchedulerPolicy
-from play_launch.config.section import ConfigSection, nested, optional, raw, required
+from play_launch.config.section import ConfigSection, mapped, nested, optional, raw, required
 
 
 class DependencySection(ConfigSection):
@@ -156,6 +157,83 @@ class RecordSection(ConfigSection):
     )
 
 
+class OnLostSection(ConfigSection):
+    """`machines.*.on_lost`: what a machine does that hears nothing of the coordinator any more."""
+
+    stop_after = optional(
+        kinds.POSITIVE_DURATION_OR_NEVER,
+        "Duration after which it stops its part of the system, or never. By default never.",
+        "30 s",
+    )
+
+
+class MachineSection(ConfigSection):
+    """An entry of `machines`: a computer that runs a part of the system."""
+
+    local = optional(
+        kinds.BOOLEAN,
+        "Whether it is the machine on which replay is called. By default false.",
+        True,
+    )
+    ssh = optional(
+        kinds.FILLED_TEXT, "Host or alias of ~/.ssh/config. By default the name.", "robot@vision"
+    )
+    setup = optional(
+        kinds.list_of(kinds.FILLED_TEXT),
+        "Files that bash sources there first, in this order.",
+        ["/opt/ros/jazzy/setup.bash", "~/ws/install/setup.bash"],
+    )
+    play_launch = optional(
+        kinds.FILLED_TEXT,
+        "The program there; ~ is the home folder. By default play-launch of PATH.",
+        "~/venv/bin/play-launch",
+    )
+    environment = raw(
+        kinds.mapping_form(kinds.STRING_FORM),
+        "Environment variables of its part, names to strings.",
+        {"ROS_DOMAIN_ID": "5"},
+    )
+    service = optional(
+        kinds.choice(Service),
+        "What keeps its session running: user or system (a systemd unit), or none. "
+        "By default user.",
+        "none",
+    )
+    connect_timeout = optional(
+        kinds.POSITIVE_DURATION, "Duration for the first connection. By default 10 s.", "10 s"
+    )
+    lost_after = optional(
+        kinds.POSITIVE_DURATION,
+        "Duration of silence after which the connection counts as lost. By default 4 s.",
+        "4 s",
+    )
+    on_lost = nested(OnLostSection, "What it does without the coordinator.", {"stop_after": "30 s"})
+    copy = optional(
+        kinds.list_of(kinds.FILLED_TEXT),
+        "Files and folders to copy there, beside the configuration, from whose folder relative "
+        "paths start. The files that the configuration names are copied in any case.",
+        ["maps/"],
+    )
+    max_clock_offset = optional(
+        kinds.POSITIVE_DURATION_OR_NEVER,
+        "Difference of the clocks that is warned of, or never. By default 20 ms.",
+        "20 ms",
+    )
+    optional = optional(
+        kinds.BOOLEAN, "Whether the others start without it. By default false.", True
+    )
+
+
+class DiscoverySection(ConfigSection):
+    """`discovery`: how nodes of several machines find each other."""
+
+    by = required(
+        kinds.choice(DiscoveryBy),
+        "multicast, or peers: the addresses of all machines go into ROS_STATIC_PEERS.",
+        "peers",
+    )
+
+
 class SchedulerSection(ConfigSection):
     """`resources.scheduler`: the policy of the kernel's scheduler."""
 
@@ -298,8 +376,8 @@ class CgroupsSection(ConfigSection):
         "/sys/fs/cgroup/play_launch",
     )
     defaults = nested(GroupLimitsSection, "Limits of isolated nodes.", {"cpu_weight": 100})
-    per_node = raw(
-        kinds.mapping_form({"$ref": "#/definitions/grouplimits"}),
+    per_node = mapped(
+        GroupLimitsSection,
         "Limits by the name, or full name, of isolated nodes.",
         {"pointcloud_filter": {"cpu_max": "50000 100000", "cpuset_cpus": "0-3"}},
     )

@@ -39,12 +39,12 @@ from play_launch.supervisor.view import has_ended_well
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Iterator, Mapping, Sequence
 
-    from play_launch.control.feed import Feed
+    from play_launch.control.feed import Feed, Numbered
     from play_launch.control.messages import ActionRequest, Caller, WaitRequest
     from play_launch.control.units import Target
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
-    from play_launch.supervisor.events import NodeStateChanged, RunEvent
+    from play_launch.supervisor.events import NodeStateChanged
     from play_launch.supervisor.view import ContainerView
 
     Outcomes = dict[Target, str]
@@ -206,8 +206,8 @@ class Actions:
         """Set an event whenever a state changes, while the block runs."""
         changed = asyncio.Event()
 
-        def see(event: RunEvent) -> None:
-            if isinstance(event, StateEvent | ManagedNodeChanged | Withdrawn):
+        def see(each: Numbered) -> None:
+            if isinstance(each.event, StateEvent | ManagedNodeChanged | Withdrawn):
                 changed.set()
 
         with self._feed.followed_by(see):

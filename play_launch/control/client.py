@@ -46,6 +46,8 @@ class SessionInfo(NamedTuple):
     """Of play-launch."""
     started_ns: int
     """Nanoseconds since the epoch."""
+    machine: str
+    """The one of the machines whose part it runs; empty: the whole system."""
 
 
 class ControlClient:
@@ -242,6 +244,7 @@ def _hello(message: dict[str, Any]) -> SessionInfo:
             f"command {PROTOCOL}; use the command of the session's version",
         )
     try:
-        return SessionInfo(**{name: found[name] for name in SessionInfo._fields})
+        values = {"machine": "", **found}  # version 0.1.0 sends none
+        return SessionInfo(**{name: values[name] for name in SessionInfo._fields})
     except KeyError as error:
         raise OperationError(Code.PROTOCOL, f"the hello lacks {error}") from None

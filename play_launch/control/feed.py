@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import deque
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.config.node_key import NodeKey
 from play_launch.control.event_words import EVENT_TYPES, event_object, names_of, words_of
@@ -31,13 +31,22 @@ QUEUE_LIMIT: Final = 5000
 """Events that wait for one client; further ones are dropped and counted."""
 
 
+class Numbered(NamedTuple):
+    """An event, and its place among all events of the session, from 1 on."""
+
+    number: int
+    event: RunEvent
+
+
 class Feed:
     """Sink that keeps recent events. Belongs to the thread of the event loop."""
 
     def __init__(self) -> None:
-        self._events: deque[RunEvent] = deque(maxlen=EVENTS_LIMIT)
+        self._events: deque[Numbered] = deque(maxlen=EVENTS_LIMIT)
+        self._count = 0
+        """Of all events so far; each has its number from it."""
         self._lines: dict[str, _Lines] = {}
-        self._followers: list[Callable[[RunEvent], None]] = []
+        self._followers: list[Callable[[Numbered], None]] = []
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def begin(self) -> None:
@@ -49,17 +58,19 @@ class Feed:
     def publish_log(self, event: LogRecord) -> None:
         """Keep a log record; may be called in any thread."""
         if self._loop is None:
-            self._events.append(event)
+            self._append(event)
             return
         with contextlib.suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self._append, event)
 
-    def recent(self) -> list[RunEvent]:
+    def recent(self, since: int = 0) -> list[Numbered]:
+        """Return the events that are kept, by their stamps: those after the number ``since``."""
         lines = (line for each in self._lines.values() for line in each.lines)
-        return sorted([*self._events, *lines], key=lambda event: event.stamp_ns)
+        found = [each for each in (*self._events, *lines) if each.number > since]
+        return sorted(found, key=lambda each: each.event.stamp_ns)
 
     @contextlib.contextmanager
-    def followed_by(self, follower: Callable[[RunEvent], None]) -> Iterator[None]:
+    def followed_by(self, follower: Callable[[Numbered], None]) -> Iterator[None]:
         """Call ``follower`` with every event while the block runs, samples included."""
         self._followers.append(follower)
         try:
@@ -68,29 +79,34 @@ class Feed:
             self._followers.remove(follower)
 
     def _append(self, event: RunEvent) -> None:
+        self._count += 1
+        numbered = Numbered(self._count, event)
         if isinstance(event, OutputLine):
             lines = self._lines.get(event.process)
             if lines is None:
                 lines = self._lines[event.process] = _Lines()
-            lines.append(event)
+            lines.append(numbered, len(event.text))
         elif not isinstance(event, Sample):
-            self._events.append(event)
+            self._events.append(numbered)
         for follower in self._followers:
-            follower(event)
+            follower(numbered)
 
 
 class _Lines:
     """The last lines of one process."""
 
     def __init__(self) -> None:
-        self.lines: deque[OutputLine] = deque()
+        self.lines: deque[Numbered] = deque()
+        self._sizes: deque[int] = deque()
         self._text = 0
 
-    def append(self, line: OutputLine) -> None:
+    def append(self, line: Numbered, size: int) -> None:
         self.lines.append(line)
-        self._text += len(line.text)
+        self._sizes.append(size)
+        self._text += size
         while len(self.lines) > LINES_LIMIT or (self._text > TEXT_LIMIT and len(self.lines) > 1):
-            self._text -= len(self.lines.popleft().text)
+            self.lines.popleft()
+            self._text -= self._sizes.popleft()
 
 
 class Selection:
@@ -119,19 +135,20 @@ class Follower:
 
     def __init__(self, selection: Selection) -> None:
         self._selection = selection
-        self._queue: asyncio.Queue[RunEvent] = asyncio.Queue(QUEUE_LIMIT)
+        self._queue: asyncio.Queue[Numbered] = asyncio.Queue(QUEUE_LIMIT)
         self._missed = 0
 
-    def append(self, event: RunEvent) -> None:
-        if self._selection.wants(event):
+    def append(self, each: Numbered) -> None:
+        if self._selection.wants(each.event):
             try:
-                self._queue.put_nowait(event)
+                self._queue.put_nowait(each)
             except asyncio.QueueFull:
                 self._missed += 1
 
-    async def send_all(self, events: Iterable[RunEvent], send: Send) -> None:
-        for event in filter(self._selection.wants, events):
-            await send("event", _message(event))
+    async def send_all(self, events: Iterable[Numbered], send: Send) -> None:
+        for each in events:
+            if self._selection.wants(each.event):
+                await send("event", _message(each))
 
     async def follow(self, send: Send) -> None:
         """Send queued events until this is cancelled, and how many were dropped."""
@@ -142,6 +159,6 @@ class Follower:
                 await send("missed", missed)
 
 
-def _message(event: RunEvent) -> dict[str, object]:
-    """Return the fields of an event, and its words."""
-    return event_object(event) | words_of(event)._asdict()
+def _message(each: Numbered) -> dict[str, object]:
+    """Return the fields of an event, its words and its number."""
+    return event_object(each.event) | words_of(each.event)._asdict() | {"number": each.number}

@@ -95,6 +95,8 @@ class EventsRequest(Selected, frozen=True, kw_only=True):
     """continue until the connection or the session ends"""
     only_new: bool = False
     """leave out earlier events"""
+    since: Annotated[int, Meta(ge=0)] = 0
+    """`number` of the last event that the client has: only later ones"""
 
 
 class ChangeRequest(Struct, frozen=True, kw_only=True):
@@ -240,6 +242,10 @@ class SessionHello(Struct, frozen=True, kw_only=True):
     folder: str
     started_ns: int
     """nanoseconds since the epoch"""
+    source: str = ""
+    """absolute path of the configuration that it was started with"""
+    machine: str = ""
+    """the one of [machines](machines.md) whose part it runs; empty: the whole system"""
 
 
 def read_request(line: bytes) -> Request:

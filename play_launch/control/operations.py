@@ -11,6 +11,7 @@ from msgspec import Struct
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import NODE_PARAMETERS
 from play_launch.control.actions import ActionLog, Actions
+from play_launch.control.coordinated import Coordinated, Facts, Lease
 from play_launch.control.feed import KINDS, Follower, Selection
 from play_launch.control.messages import (
     ActionRequest,
@@ -105,6 +106,7 @@ class Operations:
         self._parameters_of = parameters_of
         self._samples: Samples = {}
         self._log = log
+        coordinated = Coordinated(system)
         actions = Actions(system, publisher, feed, log)
         self._table: dict[str, tuple[type[Struct], Callable[[Any, Caller], Awaitable[object]]]] = {
             "ps": (Selected, self._ps),
@@ -120,8 +122,14 @@ class Operations:
             "signal": (SignalRequest, partial(actions.act, "signal")),
             "snapshot": (Nothing, self._snapshot),
             "apply": (ChangeRequest, apply),
+            "clock": (Nothing, coordinated.clock),
+            "meet": (Facts, coordinated.meet),
+            "conditions": (Nothing, coordinated.conditions),
+            "lease": (Lease, coordinated.lease),
+            "end": (Nothing, coordinated.end),
         }
         publisher.add_sink(self)
+        publisher.add_sink(coordinated)
 
     async def __call__(self, request: Request, caller: Caller) -> object:
         if request.op not in self._table:
@@ -145,7 +153,7 @@ class Operations:
 
     async def _status(self, request: Selected, caller: Caller) -> list[UnitStatus]:
         rows = await self._ps(request, caller)
-        recent = self._feed.recent()
+        recent = [each.event for each in self._feed.recent()]
         found = [
             status_of(
                 row,
@@ -165,7 +173,7 @@ class Operations:
             raise OperationError(Code.BAD_ARGUMENTS, text)
         targets = self._chosen(request.names) if request.names else None
         follower = Follower(Selection(request.kinds, targets))
-        past = [] if request.only_new else self._feed.recent()
+        past = [] if request.only_new else self._feed.recent(request.since)
         with self._feed.followed_by(follower.append):
             await follower.send_all(past, caller.send)
             if request.follow:

@@ -16,6 +16,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.config.load import load_config, parse_config
+from play_launch.config.machines import part_of
 from play_launch.config.problems import ConfigError
 from play_launch.config.substitutions import Inputs, parse_arguments, share_folder
 from play_launch.container.cdr.layout import text_bytes
@@ -100,6 +101,8 @@ async def serve_control(
         session=session.id,
         folder=control.folder,
         started_ns=time.time_ns(),
+        source=str(config.source.absolute()),
+        machine=config.machine,
     )
     try:
         async with serving(control, hello, operations):
@@ -130,7 +133,7 @@ class Changes(Struct, kw_only=True, eq=False):
     async def apply(self, request: ChangeRequest, caller: Caller) -> object:
         """Send the plan, and apply it unless it is a dry run; raises OperationError."""
         try:
-            target = await in_a_thread(partial(_read, request))
+            target = await in_a_thread(partial(read_change, request))
         except ConfigError as error:
             text = f"{request.path} cannot be used, nothing was changed\n{error.for_people()}"
             raise OperationError(Code.BAD_ARGUMENTS, text) from None
@@ -182,6 +185,11 @@ class Changes(Struct, kw_only=True, eq=False):
         if self.keeps_duration:
             target = replace(target, duration=began.duration)
         folders = began.log_dir, target.log_dir
+        if began.machine:
+            if began.machine not in target.machines:
+                text = f"it has no machine {began.machine}, whose part this session runs"
+                raise OperationError(Code.BAD_ARGUMENTS, text)
+            target = part_of(target, began.machine)
         if None not in folders and len({str(each and each.absolute()) for each in folders}) == 1:
             target = replace(target, log_dir=began.log_dir)  # one of them is a relative path
         return target
@@ -239,7 +247,7 @@ class Changes(Struct, kw_only=True, eq=False):
         return self.task
 
 
-def _read(request: ChangeRequest) -> ReplayConfig:
+def read_change(request: ChangeRequest) -> ReplayConfig:
     inputs = Inputs(
         arguments=parse_arguments(request.arguments),
         environ=request.environment,

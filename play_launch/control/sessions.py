@@ -86,6 +86,7 @@ def connect(session: str | None = None, *, limit: float = TIMEOUT) -> ControlCli
         for each in found
         if each.is_alive and (name is None or each.client is None or _is_called(each.client, name))
     ]
+    alive = _without_parts(alive)
     close(each for each in found if [each] != alive)
     if len(alive) == 1:
         if is_decided and isinstance(alive[0].problem, OperationError):
@@ -205,6 +206,19 @@ def _without_session(link: Link, error: NoSessionError) -> Found:
     elif has_exited:
         forget(link)
     return Found(link, None, None, error, is_alive=lives, has_exited=has_exited)
+
+
+def _without_parts(alive: list[Found]) -> list[Found]:
+    """Leave out the local part of a system whose coordinator runs here too, and includes it."""
+    hellos = [each.client.hello for each in alive if each.client is not None]
+    whole = {hello.name for hello in hellos if not hello.machine}
+    return [
+        each
+        for each in alive
+        if each.client is None
+        or not each.client.hello.machine
+        or each.client.hello.name not in whole
+    ]
 
 
 def _is_folder(session: str) -> bool:

@@ -60,6 +60,8 @@ class Outside:
         self._files: frozenset[str] = frozenset()
         self._watched: frozenset[tuple[Condition, str]] = frozenset()
         self._met: frozenset[tuple[Condition, str, str]] = frozenset()
+        self._told: frozenset[tuple[Condition, str, str]] = frozenset()
+        """Those of other machines."""
         self._patterns: dict[str, dict[str, re.Pattern[str]]] = {}
         self._looked_for: set[str] = set()
         """Files with a task that looks for them; it is held up where a mount does not answer."""
@@ -97,6 +99,11 @@ class Outside:
             if self._graph is None:
                 self._graph = self._system.ros.watch_graph(self._see_graph)
             self._graph.watch(watched)
+
+    def tell(self, met: frozenset[tuple[Condition, str, str]]) -> None:
+        """Replace the conditions that are met on other machines."""
+        before, self._told = self._told, met
+        self._post((self._met - before) | met)
 
     async def _look_for(self, path: str) -> None:
         """Look for a file as long as it is waited for; EACCES, EIO and the like count as no."""

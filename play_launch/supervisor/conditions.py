@@ -109,7 +109,7 @@ def condition_state(world: World, dependency: Dependency) -> str | None:
     condition, name = dependency.condition, dependency.unit
     if (condition, name, dependency.subject) in world.met:
         return ""
-    if not name:
+    if dependency.machine or not name:
         return None
     if condition is Condition.ACTIVE and (goal := world.goals.get(name)) is not None:
         if goal.state is ManagedState.ACTIVE:

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from collections.abc import Mapping as Variables
 
+    from play_launch.config.machines import Placement
     from play_launch.config.problems import Location
     from play_launch.config.resolve.order import StartRules
     from play_launch.config.resolve.parameter_files import ParameterFileReader
@@ -140,6 +141,7 @@ class SharedContext(Struct, frozen=True):
     start_rules: StartRules
     names: NodeNames
     groups: GroupRules
+    placement: Placement
 
 
 def _own(section: ConfigSection, config: type[Struct], at: Cursor) -> dict[str, Any]:
@@ -159,11 +161,13 @@ def resolve_container(at: Cursor, shared: SharedContext, policy: Policy) -> Cont
     if not isinstance(at.node, Mapping):
         return None
     shared.names.declare(at)
-    variables = resolve_environment(at.value("environment"))
+    own_variables = resolve_environment(at.value("environment"))
     sections = resolve_process_parameters(at.value("process_parameters"), shared.files)
     if section is None:
         _composable_nodes(at, shared, policy, "", None)
         return None
+    machine = shared.placement.place(at, section.machine)
+    variables = {**shared.placement.environment(machine), **own_variables}
     policy = policy.refined(section, at)
     kind = policy.container_type
     refuse_unread(ISOLATED_KEYS, kind, at)
@@ -195,6 +199,7 @@ def resolve_container(at: Cursor, shared: SharedContext, policy: Policy) -> Cont
         **policy.given,
         **program,
         **_own(section, ContainerConfig, at),
+        "machine": machine,
         "thread_num": policy.given.get("thread_num"),
         "namespace": namespace,
         "full_name": full_name,
@@ -269,7 +274,6 @@ def resolve_process(at: Cursor, shared: SharedContext) -> ProcessConfig | None:
     given_name = shared.names.declare(at)
     variables = resolve_environment(at.value("environment"))
     values: dict[str, Any] = {
-        "environment": MappingProxyType({**shared.environment, **variables}),
         "parameters": resolve_parameters(
             at.value("parameters"), full_name=given_name, files=shared.files
         ),
@@ -280,12 +284,16 @@ def resolve_process(at: Cursor, shared: SharedContext) -> ProcessConfig | None:
     }
     if section is None:
         return None
+    machine = shared.placement.place(at, section.machine)
+    variables = {**shared.placement.environment(machine), **variables}
     program = section.executable or (section.command[0] if section.command else "")
     program = program.rpartition("/")[2]
     full_name = given_name or shared.names.label("", section.namespace or "", program)
     values = {
         **_own(section, ProcessConfig, at),
         **values,
+        "machine": machine,
+        "environment": MappingProxyType({**shared.environment, **variables}),
         "full_name": full_name,
         "restart": refined_restart(RestartLimits(), section.restart, at),
         "resources": refined_resources(NO_RESOURCES, section.resources, at, ProcessKind.PROGRAM),

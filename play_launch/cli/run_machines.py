@@ -1,0 +1,128 @@
+"""Runs a system on several machines: recording, display and signals around the coordinator."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import sys
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+from play_launch import ExitCode
+from play_launch.cli.check import describe
+from play_launch.cli.events import text_of
+from play_launch.cli.output import report, surviving_the_loss_of_stdout, warn
+from play_launch.cli.systemd_unit import program
+from play_launch.config.machines import discovery_problems, used_machines
+from play_launch.control.event_words import event_object, words_of
+from play_launch.control.messages import SessionHello
+from play_launch.control.registration import ControlSocket
+from play_launch.control.server import serving
+from play_launch.deploy.machines.coordinator import Coordinator
+from play_launch.deploy.machines.hosts import HostError
+from play_launch.recording.facts import OURSELVES, package_version
+from play_launch.recording.log_handler import log_published
+from play_launch.recording.session import open_session
+from play_launch.runtime.signals import RunSignals, StopRequests
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from play_launch.config.model import ReplayConfig
+    from play_launch.recording.session import Session, SessionDescription
+    from play_launch.supervisor.events import LogRecord
+
+_log = logging.getLogger(__name__)
+_SHOWN: Final = frozenset(("action", "log", "node", "output", "process"))
+"""Kinds of events that are printed for people: those of containers repeat their processes'."""
+
+
+class _Screen:
+    """Prints events of all machines, each a line."""
+
+    def __init__(self, *, as_json: bool, quiet: bool) -> None:
+        self._as_json = as_json
+        self._quiet = quiet
+
+    def show(self, machine: str, event: dict[str, Any]) -> None:
+        if self._as_json:
+            self.say(json.dumps(event, separators=(",", ":")))
+        elif event["event"] in _SHOWN and not (self._quiet and event["event"] == "output"):
+            source = f"{machine} {event['source']}" if machine else event["source"]
+            self.say(text_of({**event, "source": source}))
+
+    def say(self, text: str) -> None:
+        with surviving_the_loss_of_stdout():
+            sys.stdout.write(f"{text}\n")
+            sys.stdout.flush()
+
+
+def run_machines(
+    config: ReplayConfig,
+    description: SessionDescription,
+    *,
+    arguments: Sequence[str],
+    log_folder: Path | None,
+    as_json: bool,
+    quiet: bool,
+    detach: bool,
+) -> int:
+    """Bring the system up on its machines, keep it until its end, and return the exit code."""
+    for each in discovery_problems(config, os.environ):
+        warn(each)
+    screen = _Screen(as_json=as_json, quiet=quiet)
+    with RunSignals() as signals, contextlib.ExitStack() as opened:
+        session = open_session(
+            description, log_folder=log_folder or config.log_dir, record=config.record
+        )
+        control = ControlSocket(str(session.folder))
+        opened.callback(session.recorder.close)
+        opened.callback(control.close)
+        if not as_json:
+            names = ", ".join(used_machines(config))
+            screen.say(f"{config.name}: {describe(config)} on {names}")
+        coordinator = Coordinator(config, arguments, str(program()), screen.show)
+        work = _until_the_end(coordinator, session, control, signals, detach=detach)
+        try:
+            return asyncio.run(work)
+        except HostError as error:
+            report(f"nothing was started\n{error}")
+            return ExitCode.NODE_FAILED
+
+
+async def _until_the_end(
+    coordinator: Coordinator,
+    session: Session,
+    control: ControlSocket,
+    signals: RunSignals,
+    *,
+    detach: bool,
+) -> int:
+    loop = asyncio.get_running_loop()
+    stop = StopRequests()
+
+    def publish_log(record: LogRecord) -> None:
+        session.recorder.publish(record)
+        event = event_object(record) | words_of(record)._asdict()
+        with contextlib.suppress(RuntimeError):  # the loop is closed
+            loop.call_soon_threadsafe(coordinator.publish, event)
+
+    config = coordinator.config
+    hello = SessionHello(
+        version=package_version(OURSELVES),
+        pid=os.getpid(),
+        name=config.name,
+        session=session.id,
+        folder=control.folder,
+        started_ns=time.time_ns(),
+        source=str(config.source.absolute()),
+    )
+    with log_published(publish_log), signals.delivered_to(stop.request):
+        async with serving(control, hello, coordinator):
+            code = await coordinator.run(stop.requested, detach=detach)
+        await asyncio.sleep(0)  # the last records of the log
+    return code if stop.signum is None or code else ExitCode.SIGNAL_BASE + stop.signum

@@ -1,0 +1,96 @@
+"""A connection to the control socket of a part: one request at a time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from play_launch.control.protocol import (
+    ANSWER_LIMIT,
+    PROTOCOL,
+    Code,
+    OperationError,
+    decode,
+    encode,
+)
+from play_launch.deploy.machines.hosts import LinkLost
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Sequence
+
+    from play_launch.deploy.machines.hosts import Host, Reader
+
+_PIECE: Final = 64 * 1024
+
+
+class Channel:
+    """A connection that has read the session's hello."""
+
+    def __init__(self, reader: Reader, writer: Any) -> None:
+        self._reader = reader
+        self._writer = writer
+        self._lines: list[bytes] = []
+        self._rest = bytearray()
+        self.hello: dict[str, Any] = {}
+
+    @classmethod
+    async def open(cls, host: Host, link: str) -> Channel:
+        """Connect to the session of a link.
+
+        Raises LinkLost, ConnectionRefusedError where no session listens, and OperationError.
+        """
+        channel = cls(*await host.open(f"{link}/control.sock"))
+        first = await channel._next()
+        if first is None:
+            raise ConnectionRefusedError("the session has just ended")
+        if "error" in first:
+            raise OperationError.of(first["error"])
+        channel.hello = first["hello"]
+        if channel.hello["protocol"] != PROTOCOL:
+            raise OperationError(
+                Code.PROTOCOL,
+                f"play-launch {channel.hello['version']} there uses protocol "
+                f"{channel.hello['protocol']}, and this one {PROTOCOL}: install the same version",
+            )
+        return channel
+
+    async def ask(self, operation: str, arguments: object = None) -> Any:
+        """Return the result of an operation; raises OperationError, LinkLost, EOFError."""
+        async for message in self.stream(operation, arguments):
+            if "result" in message:
+                return message["result"]
+        raise EOFError
+
+    async def stream(
+        self, operation: str, arguments: object = None, command: Sequence[str] = ()
+    ) -> AsyncIterator[dict[str, Any]]:
+        """Yield what answers a request up to its result; without one, the session has ended."""
+        request = {"id": 1, "op": operation, "protocol": PROTOCOL, "arguments": arguments or {}}
+        try:
+            self._writer.write(encode({**request, "command": list(command)}))
+            await self._writer.drain()
+        except Exception as error:  # noqa: BLE001 - asyncssh has many
+            raise LinkLost(str(error)) from None
+        while (message := await self._next()) is not None:
+            if "error" in message:
+                raise OperationError.of(message["error"])
+            yield message
+            if "result" in message:
+                return
+
+    def close(self) -> None:
+        self._writer.close()
+
+    async def _next(self) -> dict[str, Any] | None:
+        while not self._lines:
+            try:
+                data = await self._reader.read(_PIECE)
+            except Exception as error:  # noqa: BLE001 - asyncssh has many
+                raise LinkLost(str(error)) from None
+            if not data:
+                return None
+            self._rest += data
+            if len(self._rest) > ANSWER_LIMIT + _PIECE:
+                raise OperationError(Code.TOO_LONG, f"a line is longer than {ANSWER_LIMIT} bytes")
+            *self._lines, rest = bytes(self._rest).split(b"\n")
+            self._rest = bytearray(rest)
+        return decode(self._lines.pop(0))

@@ -1,0 +1,255 @@
+"""A machine as the coordinator reaches it: by ssh, or as this one.
+
+Commands run in a bash that reads no start-up files, and what they print begins behind a marker:
+the shell of the user may print a greeting first.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import shlex
+import socket
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from play_launch.config.model import MachineConfig
+
+_MARKER: Final = "==play-launch=="
+_KEEPALIVES: Final = 3
+"""Unanswered ones, after which ssh gives a connection up; the last is waited for as well."""
+_COMMAND_LIMIT: Final = 60.0
+"""Seconds for a command: the check of a configuration from a cold disk."""
+_ABOUT: Final = """\
+printf '%s\\n' "$HOME" "$(cat /proc/sys/kernel/random/boot_id)" \
+"${PLAY_LAUNCH_SESSIONS_DIR:-/dev/shm/play_launch-$(id -u)}"
+"""
+
+
+class HostError(Exception):
+    """A machine cannot be used; the text has the fix."""
+
+
+class LinkLost(Exception):  # noqa: N818 - it is no mistake
+    """The connection to a machine was lost, or cannot be made at the moment."""
+
+
+class Output(NamedTuple):
+    """What a command printed."""
+
+    status: int
+    stdout: str
+    stderr: str
+
+
+class About(NamedTuple):
+    """Facts about a machine."""
+
+    home: str
+    boot: str
+    """Differs after a reboot."""
+    links: str
+    """Folder with the links of running sessions."""
+
+
+class Reader(Protocol):
+    """The reading end of asyncio's connections, and of asyncssh's."""
+
+    async def read(self, n: int, /) -> bytes: ...
+
+
+class Host(Protocol):
+    """A connection to a machine; all methods raise `LinkLost`."""
+
+    address: str
+    """Address by which other machines reach it; empty where unknown."""
+
+    async def run(self, script: str, limit: float = _COMMAND_LIMIT) -> Output: ...
+    async def put(self, files: Mapping[str, bytes]) -> None: ...
+    async def get(self, folder: str, target: Path) -> None: ...
+    async def open(self, path: str) -> tuple[Reader, Any]:
+        """Connect to a UNIX socket; raises ConnectionRefusedError where nothing listens."""
+        ...
+
+    def close(self) -> None: ...
+
+
+async def about(host: Host) -> About:
+    output = await host.run(_ABOUT)
+    return About(*output.stdout.splitlines()[:3])
+
+
+async def connect(machine: MachineConfig) -> Host:
+    """Connect to a machine; raises HostError where a person has to act, and LinkLost."""
+    return LocalHost() if machine.local else await SshHost.connect(machine)
+
+
+def _marked(script: str) -> str:
+    return f"echo {_MARKER}\n{script}"
+
+
+def _output(status: int, stdout: str, stderr: str) -> Output:
+    return Output(status, stdout.partition(f"{_MARKER}\n")[2], stderr.strip())
+
+
+class LocalHost:
+    """This machine."""
+
+    address = ""
+
+    async def run(self, script: str, limit: float = _COMMAND_LIMIT) -> Output:
+        process = await asyncio.create_subprocess_exec(
+            *("bash", "--norc", "--noprofile", "-c", _marked(script)),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+        )
+        try:
+            async with asyncio.timeout(limit):
+                stdout, stderr = await process.communicate()
+        except TimeoutError:
+            process.kill()
+            await process.wait()
+            return Output(124, "", f"it took longer than {limit:g} s")
+        return _output(process.returncode or 0, stdout.decode(), stderr.decode())
+
+    async def put(self, files: Mapping[str, bytes]) -> None:
+        await asyncio.to_thread(_write, files)
+
+    async def get(self, folder: str, target: Path) -> None:
+        import shutil  # noqa: PLC0415 - rarely needed
+
+        await asyncio.to_thread(shutil.copytree, folder, target, dirs_exist_ok=True)
+
+    async def open(self, path: str) -> tuple[Reader, Any]:
+        connection = socket.socket(socket.AF_UNIX)
+        connection.setblocking(False)
+        folder = os.open(Path(path).parent, os.O_PATH | os.O_DIRECTORY)
+        try:
+            # An address has at most 107 bytes.
+            connection.connect(f"/proc/self/fd/{folder}/{Path(path).name}")
+        except OSError as error:
+            connection.close()
+            raise ConnectionRefusedError(str(error)) from None
+        finally:
+            os.close(folder)
+        return await asyncio.open_unix_connection(sock=connection)
+
+    def close(self) -> None:
+        """Do nothing: there is no connection."""
+
+
+def _write(files: Mapping[str, bytes]) -> None:
+    for name, content in files.items():
+        path = Path(name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+
+
+class SshHost:
+    """A machine that ssh reaches."""
+
+    def __init__(self, name: str, connection: Any) -> None:
+        self._name = name
+        self._connection = connection
+        peer = connection.get_extra_info("peername")
+        self.address = str(peer[0]) if peer else ""
+
+    @classmethod
+    async def connect(cls, machine: MachineConfig) -> SshHost:
+        try:
+            import asyncssh  # noqa: PLC0415 - slow, and an extra
+        except ImportError:
+            raise HostError(
+                "machines are reached by asyncssh, which is not installed: "
+                "pip install 'play-launch-py[machines]'"
+            ) from None
+        user, _, name = (machine.ssh or machine.name).rpartition("@")
+        try:
+            connection = await asyncssh.connect(
+                name,
+                **({"username": user} if user else {}),
+                keepalive_interval=machine.lost_after / (_KEEPALIVES + 1),
+                keepalive_count_max=_KEEPALIVES,
+                connect_timeout=machine.connect_timeout,
+                login_timeout=machine.connect_timeout,
+            )
+        except asyncssh.HostKeyNotVerifiable:
+            raise HostError(
+                f"its host key is unknown, or has changed; compare it and accept it with "
+                f"`ssh {name} true` (a machine that was set up anew: `ssh-keygen -R {name}` first)"
+            ) from None
+        except asyncssh.PermissionDenied:
+            raise HostError(f"ssh does not let you in; try `ssh-copy-id {name}`") from None
+        except socket.gaierror as error:
+            raise HostError(
+                f"the name {name} is not known ({error.strerror}); give it an alias in "
+                "~/.ssh/config, or the address in ssh"
+            ) from None
+        except (OSError, asyncssh.Error, TimeoutError) as error:
+            raise LinkLost(_reason(error)) from None
+        except ValueError as error:  # of ~/.ssh/config
+            raise HostError(f"~/.ssh/config cannot be used: {error}") from None
+        return cls(name, connection)
+
+    async def run(self, script: str, limit: float = _COMMAND_LIMIT) -> Output:
+        command = f"exec bash --norc --noprofile -c {shlex.quote(_marked(script))}"
+        with self._losses():
+            found = await self._connection.run(command, timeout=limit, errors="replace")
+        status = 255 if found.exit_status is None else found.exit_status
+        return _output(status, str(found.stdout), str(found.stderr))
+
+    async def put(self, files: Mapping[str, bytes]) -> None:
+        with self._losses():
+            async with self._connection.start_sftp_client() as sftp:
+                for folder in sorted({os.path.dirname(name) for name in files}):  # noqa: PTH120
+                    await sftp.makedirs(folder, exist_ok=True)
+                for name, content in files.items():
+                    async with sftp.open(name, "wb") as file:
+                        await file.write(content)
+
+    async def get(self, folder: str, target: Path) -> None:
+        await asyncio.to_thread(target.mkdir, parents=True, exist_ok=True)
+        with self._losses():
+            async with self._connection.start_sftp_client() as sftp:
+                for name in await sftp.listdir(folder):
+                    source = f"{folder}/{name}"
+                    if await sftp.isfile(source):
+                        await sftp.get(source, target / name)
+
+    async def open(self, path: str) -> tuple[Reader, Any]:
+        import asyncssh  # noqa: PLC0415 - it is imported
+
+        with self._losses():
+            try:
+                return await self._connection.open_unix_connection(path)  # type: ignore[no-any-return]
+            except asyncssh.ChannelOpenError as error:
+                raise ConnectionRefusedError(error.reason) from None
+
+    def close(self) -> None:
+        self._connection.close()
+
+    @contextlib.contextmanager
+    def _losses(self) -> Any:
+        """Turn what asyncssh raises where a connection is lost into `LinkLost`."""
+        import asyncssh  # noqa: PLC0415 - it is imported
+
+        try:
+            yield
+        except ConnectionRefusedError:
+            raise
+        except asyncssh.SFTPError as error:
+            lost = isinstance(error, asyncssh.SFTPConnectionLost | asyncssh.SFTPNoConnection)
+            if lost:
+                raise LinkLost(_reason(error)) from None
+            raise HostError(f"files cannot be written there: {error.reason}") from None
+        except (OSError, asyncssh.Error, TimeoutError) as error:
+            raise LinkLost(_reason(error)) from None
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "reason", "") or getattr(error, "strerror", "") or str(error) or "timeout"

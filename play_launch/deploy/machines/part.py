@@ -1,0 +1,570 @@
+"""The part of one machine: brought there, started or adopted, followed, and stopped."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hashlib
+import json
+import logging
+import math
+import os
+import shlex
+import time
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Final
+
+import anyio
+
+from play_launch.config.model import Service
+from play_launch.control.feed import USUAL_KINDS
+from play_launch.control.protocol import OperationError
+from play_launch.deploy.machines.channel import Channel
+from play_launch.deploy.machines.hosts import HostError, LinkLost, about, connect
+from play_launch.deploy.unit import stop_seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Sequence
+    from pathlib import Path
+
+    from play_launch.config.model import MachineConfig, ReplayConfig
+    from play_launch.deploy.machines.hosts import About, Host
+
+_log = logging.getLogger(__name__)
+_RETRY: Final = (0.25, 5.0)
+"""First and longest pause in seconds before a lost machine is tried again."""
+_APPEARS: Final = 60.0
+"""Seconds from the start of a session until its socket exists, on a cold disk."""
+_POLL: Final = 0.1
+_SAMPLES: Final = 8
+"""Measurements of the clock, of which the one with the least delay counts."""
+_CLOCK_PERIOD: Final = 30.0
+_STARTS: Final = 5
+"""Starts of a session that was killed, in a minute."""
+_REFRESH: Final = 0.3
+"""Seconds between an event and the rows that are kept for when the machine is lost."""
+_KEPT: Final = 6
+"""One more than the copies of a part that stay on its machine."""
+_LARGEST_COPY: Final = 512 * 1024 * 1024
+
+
+class PartState(StrEnum):
+    """State of the part of one machine."""
+
+    CONNECTING = "connecting"
+    STARTING = "starting"
+    RUNNING = "running"
+    UNREACHABLE = "unreachable"
+    """Its session runs on, as far as is known."""
+    ENDED = "ended"
+    FAILED = "failed"
+
+
+class Bundle:
+    """The files of a configuration, by the paths that they get on another machine."""
+
+    def __init__(
+        self, config: ReplayConfig, arguments: Sequence[str], copy: Sequence[Path]
+    ) -> None:
+        """Read what is to be copied; raises HostError."""
+        self.files: dict[str, bytes] = {str(config.source.absolute()): config.text}
+        for file in (*config.included_files, *config.parameter_files):
+            self.files[os.path.normpath(file.path.absolute())] = file.text
+        size = 0
+        for path in (each for folder in copy for each in _files_below(folder)):
+            size += path.stat().st_size
+            if size > _LARGEST_COPY:
+                raise HostError(f"copy: more than {_LARGEST_COPY >> 20} MiB; copy it beforehand")
+            self.files[str(path)] = path.read_bytes()
+        digest = hashlib.sha256(json.dumps(list(arguments)).encode())
+        for name in sorted(self.files):
+            digest.update(f"{name}\0{len(self.files[name])}\0".encode())
+            digest.update(self.files[name])
+        self.hash = digest.hexdigest()[:16]
+
+
+def _files_below(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise HostError(f"copy: there is no {path}")
+    return sorted(each for each in path.rglob("*") if each.is_file())
+
+
+class Part:
+    """Accompanies the session of one machine, from its start to its end."""
+
+    def __init__(
+        self,
+        part: ReplayConfig,
+        arguments: Sequence[str],
+        program: str,
+        on_event: Callable[[str, dict[str, Any]], None],
+        on_met: Callable[[], None],
+    ) -> None:
+        """Prepare; ``program`` is play-launch on this machine, for the local part."""
+        self.machine: MachineConfig = part.machines[part.machine]
+        self.name = part.machine
+        self.config = part
+        self.state = PartState.CONNECTING
+        self.reason = ""
+        self.since_ns = time.time_ns()
+        self.rows: list[dict[str, Any]] = []
+        """The latest ones that it sent."""
+        self.met: list[list[str]] = []
+        """Conditions of its units that others wait for."""
+        self.hello: dict[str, Any] = {}
+        self.offset_ns: int | None = None
+        """Its clock minus this one's."""
+        self.changed = asyncio.Event()
+        """Set at each change of the state."""
+        self.peers: tuple[str, ...] = ()
+        self._arguments = tuple(arguments)
+        self._program = program
+        self._on_event = on_event
+        self._on_met = on_met
+        self._host: Host | None = None
+        self._about: About | None = None
+        self._bundle: Bundle | None = None
+        self._link = ""
+        self._seen = 0
+        """Number of the latest event."""
+        self._stale = asyncio.Event()
+        """Whether its rows may have changed."""
+        self.ends_all = False
+        """Whether a rule of it ends the whole system: `on_exit: shutdown`."""
+        self._starts: list[float] = []
+        self.told: list[list[str]] = []
+        """Conditions that are met elsewhere."""
+
+    # What others use.
+
+    @property
+    def host(self) -> Host:
+        if self._host is None:
+            raise LinkLost("not connected")
+        return self._host
+
+    async def open(self) -> Channel:
+        """Connect to its session once more; raises LinkLost and OperationError."""
+        if self.state is not PartState.RUNNING:
+            raise LinkLost(self.reason or str(self.state))
+        try:
+            return await Channel.open(self.host, self._link)
+        except ConnectionRefusedError as error:
+            raise LinkLost(f"its session does not answer: {error}") from None
+
+    async def ask(self, operation: str, arguments: object = None) -> Any:
+        """Raises LinkLost and OperationError."""
+        channel = await self.open()
+        try:
+            return await channel.ask(operation, arguments)
+        except EOFError:
+            raise LinkLost("its session has just ended") from None
+        finally:
+            channel.close()
+
+    def here(self, row: dict[str, Any]) -> dict[str, Any]:
+        """Return a row with the place of its declaration on this machine."""
+        if self.machine.local or self._bundle is None or "declared" not in row:
+            return row
+        return {**row, "declared": row["declared"].removeprefix(f"{self._folder}/files")}
+
+    async def prepare(self) -> None:
+        """Connect, bring the files there, and let the machine check its part; raises HostError."""
+        await self._connect()
+        try:
+            await self._bring(self.config)
+            await self._check()
+            if self.machine.service is Service.USER and not self.machine.local:
+                await self._require_user_service()
+        except LinkLost as lost:
+            raise HostError(str(lost)) from None
+
+    async def run(self) -> None:
+        """Start or adopt the session and follow it to its end; raises HostError."""
+        self._put(PartState.STARTING)
+        try:
+            link = await self._running()
+            if link:
+                await self._apply(link)
+            await self._attach(link or await self._start())
+        except LinkLost as lost:
+            self._lose(lost)
+        while self.state is not PartState.ENDED:
+            try:
+                if self.state is PartState.UNREACHABLE:
+                    await self._return()
+                await self._follow()
+            except LinkLost as lost:
+                self._lose(lost)
+
+    async def stop(self, limit: float) -> None:
+        """End its session in order, and wait for that."""
+        if self.state is PartState.RUNNING:
+            with contextlib.suppress(LinkLost, OperationError):
+                await self.ask("end")
+        with anyio.move_on_after(limit):
+            while self.state is PartState.RUNNING:
+                self.changed.clear()
+                await self.changed.wait()
+
+    def fail(self, reason: str) -> None:
+        self._put(PartState.FAILED, reason)
+
+    def close(self) -> None:
+        if self._host is not None:
+            self._host.close()
+
+    async def change(self, part: ReplayConfig) -> str:
+        """Bring another configuration there, and return its path."""
+        self.config = part
+        await self._bring(part)
+        return self.source
+
+    # Start.
+
+    async def _connect(self) -> None:
+        try:
+            self._host = await connect(self.machine)
+            self._about = await about(self._host)
+        except LinkLost as lost:
+            name = self.machine.ssh or self.name
+            raise HostError(f"it does not answer: {lost}; try `ssh {name} true`") from None
+
+    @property
+    def _folder(self) -> str:
+        assert self._about is not None and self._bundle is not None  # noqa: PT018
+        return (
+            f"{self._about.home}/.cache/play-launch/parts/{_unit(self.config)}-{self._bundle.hash}"
+        )
+
+    @property
+    def source(self) -> str:
+        """Path of the configuration there."""
+        source = str(self.config.source.absolute())
+        return source if self.machine.local else f"{self._folder}/files{source}"
+
+    async def _bring(self, part: ReplayConfig) -> None:
+        self._bundle = await asyncio.to_thread(Bundle, part, self._arguments, self.machine.copy)
+        files = {f"{self._folder}/start.sh": self._script("replay --quiet").encode()}
+        if not self.machine.local:
+            files |= {
+                f"{self._folder}/files{path}": text for path, text in self._bundle.files.items()
+            }
+        await self.host.put(files)
+        others = f"{self._folder.removesuffix(self._bundle.hash)}*"
+        await self.host.run(
+            f"touch {self._folder}; ls -dt {others} | tail -n +{_KEPT} | xargs rm -rf"
+        )
+
+    def _script(self, command: str) -> str:
+        """Write a script that becomes a play-launch of the part, in the machine's environment."""
+        lines = ["#!/bin/bash"]
+        lines += [f". {_path(file)} || exit 3" for file in self.machine.setup]
+        variables = dict(self.machine.environment)
+        if self.peers:
+            variables.setdefault("ROS_STATIC_PEERS", ";".join(self.peers))
+        lines += [f"export {name}={shlex.quote(value)}" for name, value in variables.items()]
+        lines.append(f"cd {shlex.quote(os.path.dirname(self.source))}")  # noqa: PTH120
+        program = (
+            shlex.quote(self._program) if self.machine.local else _path(self.machine.play_launch)
+        )
+        words = ["--machine", self.name, self.source, *self._arguments]
+        lines.append(f"exec {program} {command} {shlex.join(words)}")
+        return "\n".join(lines) + "\n"
+
+    async def _check(self) -> None:
+        output = await self.host.run(self._script("check --json"))
+        try:
+            found = json.loads(output.stdout)
+        except ValueError:
+            reason = output.stderr or output.stdout or "no output"
+            if output.status == 127:
+                reason += "; install play-launch there, or give its path as play_launch"
+            raise HostError(f"play-launch cannot be run there: {reason}") from None
+        if not found["valid"]:
+            problems = [
+                f"{each['location']['file']}:{each['location']['line']}: {each['message']}"
+                for each in found["problems"]
+            ]
+            raise HostError("the configuration cannot be used there:\n  " + "\n  ".join(problems))
+
+    async def _require_user_service(self) -> None:
+        output = await self.host.run(
+            "systemctl --user show-environment > /dev/null && "
+            'loginctl show-user "$(id -un)" -p Linger --value'
+        )
+        name = self.machine.ssh or self.name
+        if output.status:
+            raise HostError(
+                f"it has no systemd manager for this user ({output.stderr or 'no answer'}): "
+                f"give service: none, or service: system"
+            )
+        if output.stdout.strip() != "yes":
+            raise HostError(
+                "systemd would stop the session after this login; run once: "
+                f"ssh {name} loginctl enable-linger (as another user: with sudo and the name)"
+            )
+
+    async def _running(self) -> str:
+        """Return the link of a session of this part that runs already; empty if there is none."""
+        for link in await self._links():
+            try:
+                channel = await Channel.open(self.host, link)
+            except (ConnectionRefusedError, OperationError):
+                continue
+            hello = channel.hello
+            channel.close()
+            if hello.get("machine") == self.name and hello["name"] == self.config.name:
+                return link
+        return ""
+
+    async def _apply(self, link: str) -> None:
+        """Adopt a session, and bring it to this configuration."""
+        _log.info("%s: its session runs already and is adopted", self.name)
+        channel = await Channel.open(self.host, link)
+        try:
+            await channel.ask("apply", {"path": self.source, "arguments": self._arguments})
+        except OperationError as error:
+            raise HostError(
+                f"another configuration runs there, and cannot be changed to this one: {error}"
+            ) from None
+        finally:
+            channel.close()
+
+    async def _links(self) -> list[str]:
+        """Return the links of sessions there, the latest first."""
+        assert self._about is not None
+        output = await self.host.run(f"ls -t {shlex.quote(self._about.links)} 2> /dev/null; true")
+        return [f"{self._about.links}/{name}" for name in output.stdout.split() if name[0] != "."]
+
+    async def _start(self) -> str:
+        """Start the session and return its link."""
+        now = time.monotonic()
+        self._starts = [each for each in self._starts if now - each < 60] + [now]
+        if len(self._starts) > _STARTS:
+            raise HostError("its session was killed again and again; see its journal or output")
+        before = await self._links()
+        output = await self.host.run(self._start_command())
+        if output.status:
+            raise HostError(f"its session cannot be started: {output.stderr or output.stdout}")
+        pid = output.stdout.strip()
+        deadline = time.monotonic() + _APPEARS
+        while time.monotonic() < deadline:
+            for link in await self._links():
+                with contextlib.suppress(ConnectionRefusedError, OperationError):
+                    if link in before:
+                        continue
+                    channel = await Channel.open(self.host, link)
+                    channel.close()
+                    if channel.hello.get("machine") == self.name:
+                        return link
+            if pid:
+                alive = await self.host.run(f"kill -0 {pid}")
+                if alive.status:
+                    tail = await self.host.run(f"tail -n 5 {shlex.quote(self._folder)}/output")
+                    raise HostError(f"its session ended at once: {tail.stdout.strip()}")
+            await asyncio.sleep(_POLL)
+        raise HostError(f"its session did not answer within {_APPEARS:g} s")
+
+    def _start_command(self) -> str:
+        script, output = (shlex.quote(f"{self._folder}/{name}") for name in ("start.sh", "output"))
+        bash = f"bash --norc --noprofile {script}"
+        if self.machine.local or self.machine.service is Service.NONE:
+            return f"setsid {bash} < /dev/null > {output} 2>&1 & echo $!"
+        user = "--user " if self.machine.service is Service.USER else ""
+        settings = {
+            "Type": "notify",
+            "NotifyAccess": "main",
+            "KillMode": "mixed",
+            "TimeoutStopSec": str(stop_seconds(self.config)),
+            "Delegate": "yes",
+            "Restart": "on-failure",
+            "RestartSec": "1",
+            "SuccessExitStatus": "129 130 143",
+            "RestartPreventExitStatus": "2",
+        }
+        words = " ".join(f"-p {shlex.quote(f'{key}={value}')}" for key, value in settings.items())
+        return (
+            f"systemd-run {user}--quiet --collect --no-block --unit=play-launch-{_unit(self.config)} {words} "
+            f'-E HOME="$HOME" {bash}'
+        )
+
+    # A session that runs.
+
+    async def _attach(self, link: str) -> None:
+        channel = await Channel.open(self.host, link)
+        channel.close()
+        if channel.hello["session"] != self.hello.get("session"):
+            if self.hello:
+                _log.warning("%s: its session was started anew meanwhile", self.name)
+            self._seen = 0
+        self.hello, self._link = channel.hello, link
+        self._put(PartState.RUNNING)
+
+    async def _follow(self) -> None:
+        """Follow the session to its end; raises LinkLost."""
+        await self._refresh()
+        lost: list[LinkLost] = []
+
+        async def guarded(work: Callable[[], Awaitable[None]]) -> None:
+            try:
+                await work()
+            except LinkLost as error:
+                lost.append(error)
+            except (EOFError, OperationError) as error:
+                if not isinstance(error, EOFError):
+                    _log.warning("%s: %s", self.name, error)
+            tasks.cancel_scope.cancel()
+
+        async with anyio.create_task_group() as tasks:
+            for work in (self._events, self._conditions, self._keep_rows, self._care):
+                tasks.start_soon(guarded, work)
+        if lost:
+            raise lost[0]
+        await self._find_out_how_it_ended()
+
+    async def _events(self) -> None:
+        channel = await self.open()
+        request = {"follow": True, "kinds": sorted({*USUAL_KINDS, "output"}), "since": self._seen}
+        try:
+            async for message in channel.stream("events", request):
+                event = message.get("event")
+                if event is not None:
+                    self._seen = max(self._seen, event["number"])
+                    self.ends_all |= event.get("sequel") == "shutdown"
+                    self._stale.set()
+                    self._on_event(self.name, event)
+                elif "missed" in message:
+                    _log.warning("%s: %s events were skipped", self.name, message["missed"])
+        finally:
+            channel.close()
+
+    async def _conditions(self) -> None:
+        channel = await self.open()
+        try:
+            async for message in channel.stream("conditions"):
+                if "met" in message:
+                    self.met = message["met"]
+                    self._on_met()
+        finally:
+            channel.close()
+
+    async def _keep_rows(self) -> None:
+        """Keep the rows that are shown when the machine is lost."""
+        while True:
+            await self._stale.wait()
+            self._stale.clear()
+            await self._refresh()
+            await asyncio.sleep(_REFRESH)
+
+    async def _refresh(self) -> None:
+        self.rows = await self.ask("ps")
+
+    async def tell(self, met: list[list[str]]) -> None:
+        """Report the conditions that are met on other machines."""
+        self.told = met
+        if self.state is PartState.RUNNING:
+            with contextlib.suppress(LinkLost):
+                await self.ask("meet", {"met": met})
+
+    async def _care(self) -> None:
+        """Renew the lease, and measure the clock now and then."""
+        await self.tell(self.told)
+        measured = -math.inf
+        lease = self.machine.stop_after
+        while True:
+            if math.isfinite(lease):
+                await self.ask("lease", {"seconds": lease})
+            if not self.machine.local and time.monotonic() - measured > _CLOCK_PERIOD:
+                measured = time.monotonic()
+                await self._measure_clock()
+            await asyncio.sleep(min(lease / 4, _CLOCK_PERIOD))
+
+    async def _measure_clock(self) -> None:
+        samples = []
+        for _ in range(_SAMPLES):
+            channel = await self.open()
+            try:
+                before = time.time_ns()
+                there = (await channel.ask("clock"))["stamp_ns"]
+                after = time.time_ns()
+            finally:
+                channel.close()
+            samples.append((after - before, there - (before + after) // 2))
+        trip, self.offset_ns = min(samples)
+        limit = self.machine.max_clock_offset
+        if abs(self.offset_ns) > limit * 1e9 + trip / 2:
+            _log.warning(
+                "%s: its clock is %+.0f ms off (measured within %.1f ms); set it by chrony or NTP",
+                self.name,
+                self.offset_ns / 1e6,
+                trip / 2e6,
+            )
+
+    async def _find_out_how_it_ended(self) -> None:
+        """Decide what the end of the connection to its session means; raises LinkLost."""
+        present = self._link in await self._links()
+        if not present:
+            # A session that ends in order removes its link.
+            self._put(PartState.ENDED, "its session has ended")
+            return
+        _log.warning("%s: the supervisor of its session was killed", self.name)
+        if self.machine.local or self.machine.service is Service.NONE:
+            await self._attach(await self._start())
+            return
+        deadline = time.monotonic() + _APPEARS
+        while not (link := await self._running()) or link == self._link:
+            if time.monotonic() > deadline:
+                raise HostError("systemd did not start its session again")
+            await asyncio.sleep(_POLL)
+        await self._attach(link)
+
+    # A machine that is lost.
+
+    def _lose(self, lost: LinkLost) -> None:
+        if self.state is not PartState.UNREACHABLE:
+            _log.warning("%s: the connection is lost: %s; it is tried again", self.name, lost)
+            self._put(PartState.UNREACHABLE, str(lost))
+        self.close()
+        self._host = None
+
+    async def _return(self) -> None:
+        """Connect again, as often as it takes, and attach to what runs there."""
+        pause, longest = _RETRY
+        while True:
+            try:
+                host = await connect(self.machine)
+                boot = "" if self._about is None else self._about.boot
+                self._host, self._about = host, await about(host)
+                break
+            except (LinkLost, HostError) as error:
+                self.reason = str(error)
+                await asyncio.sleep(pause)
+                pause = min(2 * pause, longest)
+        _log.warning("%s: it is connected again", self.name)
+        link = await self._running()
+        if link:
+            await self._attach(link)
+        elif self._about.boot != boot or not self.hello:
+            _log.warning("%s: it was booted anew; its part is started", self.name)
+            await self._attach(await self._start())
+        else:
+            self._put(PartState.ENDED, "its session has ended while it was unreachable")
+
+    def _put(self, state: PartState, reason: str = "") -> None:
+        self.state, self.reason, self.since_ns = state, reason, time.time_ns()
+        self.changed.set()
+
+
+def _unit(part: ReplayConfig) -> str:
+    kept = (each if each.isascii() and each.isalnum() else "-" for each in part.name)
+    return f"{''.join(kept)}-{part.machine}"
+
+
+def _path(path: str) -> str:
+    """Quote a path of another machine; ~ is the home folder there."""
+    if path.startswith("~/"):
+        return f'"$HOME"/{shlex.quote(path[2:])}'
+    return shlex.quote(path)
