@@ -122,7 +122,14 @@ async def _until_the_end(
         source=str(config.source.absolute()),
     )
     with log_published(publish_log), signals.delivered_to(stop.request):
+        problem: HostError | None = None
+        code: int = ExitCode.OK
         async with serving(control, hello, coordinator):
-            code = await coordinator.run(stop.requested, detach=detach)
+            try:
+                code = await coordinator.run(stop.requested, detach=detach)
+            except HostError as error:
+                problem = error  # not within the group of tasks, which would wrap it
+        if problem is not None:
+            raise problem
         await asyncio.sleep(0)  # the last records of the log
     return code if stop.signum is None or code else ExitCode.SIGNAL_BASE + stop.signum

@@ -61,8 +61,9 @@ def machines_at(at: Cursor | None) -> dict[str, MachineConfig]:
     for entry, value in at.entries():
         section = validate_mapping(MachineSection, value)
         variables = resolve_environment(value.value("environment"))
-        if not entry.key.isidentifier():
-            value.problem("is no name of a machine: letters, digits and _", entry.location)
+        if not (entry.key.isascii() and entry.key.isidentifier()):
+            message = "a machine is named by letters, digits and _, not beginning with a digit"
+            value.problem(message, entry.location)
         elif section is not None:
             found[entry.key] = _machine(entry.key, section, value, variables)
     local = [each.name for each in found.values() if each.local]

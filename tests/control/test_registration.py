@@ -297,7 +297,7 @@ def test_the_name_of_a_session_that_has_ended_does_nothing_to_the_terminal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What listens may be another user's program, which root was told of."""
-    hello = SessionInfo(1, "ro\x1b[31mbot", "x", str(tmp_path), "1", 0)
+    hello = SessionInfo(1, "ro\x1b[31mbot", "x", str(tmp_path), "1", 0, "")
     assert report_end(hello) == 0
     assert capsys.readouterr().err == "the session robot (pid 1) has ended\n"
 

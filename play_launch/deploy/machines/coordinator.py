@@ -10,14 +10,15 @@ from collections import deque
 from typing import TYPE_CHECKING, Any, Final
 
 import anyio
+from msgspec import json, to_builtins
 from msgspec.structs import asdict
 
 from play_launch import ExitCode
 from play_launch.config.machines import part_of, stopped_after, used_machines
-from play_launch.config.model import DiscoveryBy
+from play_launch.config.model import ContainerConfig, DiscoveryBy
 from play_launch.config.node_key import NodeKey
 from play_launch.config.problems import ConfigError
-from play_launch.control.messages import ChangeRequest, EventsRequest, read_arguments
+from play_launch.control.messages import ChangeRequest, EventsRequest, UnitRow, read_arguments
 from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, Code, OperationError
 from play_launch.control.serve import read_change
 from play_launch.control.units import chosen
@@ -246,6 +247,8 @@ class Coordinator:
         async def ask(part: Part, wanted: Sequence[str]) -> None:
             try:
                 rows = await part.ask(operation, {"names": wanted})
+                if operation == "ps" and not wanted:
+                    part.rows = rows
             except LinkLost:
                 rows = [] if operation == "parameters" else _unreachable(part, wanted)
             found[part.name] = [{**part.here(row), "machine": part.name} for row in rows]
@@ -306,7 +309,7 @@ class Coordinator:
         """Find the units that names mean, by their machines; raises OperationError."""
         places: dict[Target, str] = {}
         for part in self.parts.values():
-            for row in part.rows:
+            for row in part.rows or _declared(part.config):
                 key = NodeKey(row["container"], row["name"]) if row["container"] else row["name"]
                 places[key] = part.name
         found: dict[str, Sequence[str]] = {}
@@ -458,32 +461,59 @@ class _Wanted:
 
 
 def _unreachable(part: Part, wanted: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the rows as they were, of a machine that does not answer."""
+    """Return the rows as they were, of a machine that does not answer or not yet."""
     since = time.strftime("%H:%M:%S", time.localtime(part.since_ns / 1e9))
-    rows = [
-        row
-        for row in part.rows
-        if not wanted or {row["name"], f"{row['container']}:{row['name']}"} & set(wanted)
-    ]
-    state = "unreachable" if part.state is PartState.UNREACHABLE else str(part.state)
+    unknown = {"cpu_percent": None, "memory_bytes": None, "uptime_s": None}
     return [
         {
             **row,
-            "state": state,
-            "reason": f"since {since}, was {row['state']}",
-            "cpu_percent": None,
-            "memory_bytes": None,
-            "uptime_s": None,
+            **unknown,
+            "state": str(part.state),
+            "reason": f"since {since}, was {row['state']}" if row["state"] else part.reason,
         }
-        for row in rows
+        for row in part.rows or _declared(part.config)
+        if not wanted or {row["name"], f"{row['container']}:{row['name']}"} & set(wanted)
     ]
 
 
-def _object(arguments: object) -> dict[str, Any]:
-    import msgspec  # noqa: PLC0415 - it is imported
+def _declared(config: ReplayConfig) -> list[dict[str, Any]]:
+    """Return the rows of what has not been seen yet."""
+    units: list[tuple[str, str | None, str]] = [
+        ("container" if isinstance(each, ContainerConfig) else "process", None, each.full_name)
+        for each in config.members
+    ]
+    for container in config.containers:
+        place = units.index(("container", None, container.full_name)) + 1
+        units[place:place] = [
+            ("component", container.full_name, node.key.name) for node in container.composable_nodes
+        ]
+    rows = [
+        UnitRow(
+            name=name,
+            kind=kind,  # type: ignore[arg-type]
+            container=container,
+            state="",
+            reason="",
+            managed=None,
+            pid=None,
+            restarts=0,
+            uptime_s=None,
+            exit_code=None,
+            signal=None,
+            crashes=0,
+            cpu_percent=None,
+            memory_bytes=None,
+            memory_kind=None,
+            cgroup=None,
+        )
+        for kind, container, name in units
+    ]
+    return [to_builtins(row) for row in rows]
 
+
+def _object(arguments: object) -> dict[str, Any]:
     try:
-        found = msgspec.json.decode(bytes(arguments))  # type: ignore[call-overload]
+        found = json.decode(bytes(arguments))  # type: ignore[call-overload]
     except ValueError as error:
         raise OperationError(Code.BAD_ARGUMENTS, str(error)) from None
     if not isinstance(found, dict):

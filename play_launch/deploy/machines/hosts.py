@@ -38,6 +38,10 @@ class LinkLost(Exception):  # noqa: N818 - it is no mistake
     """The connection to a machine was lost, or cannot be made at the moment."""
 
 
+class SessionGone(LinkLost):
+    """The session of a machine does not answer, while the machine does."""
+
+
 class Output(NamedTuple):
     """What a command printed."""
 
@@ -126,9 +130,12 @@ class LocalHost:
         await asyncio.to_thread(shutil.copytree, folder, target, dirs_exist_ok=True)
 
     async def open(self, path: str) -> tuple[Reader, Any]:
+        try:
+            folder = os.open(os.path.dirname(path), os.O_PATH | os.O_DIRECTORY)  # noqa: PTH120
+        except OSError as error:
+            raise ConnectionRefusedError(str(error)) from None
         connection = socket.socket(socket.AF_UNIX)
         connection.setblocking(False)
-        folder = os.open(Path(path).parent, os.O_PATH | os.O_DIRECTORY)
         try:
             # An address has at most 107 bytes.
             connection.connect(f"/proc/self/fd/{folder}/{Path(path).name}")

@@ -20,7 +20,7 @@ from play_launch.config.model import Service
 from play_launch.control.feed import USUAL_KINDS
 from play_launch.control.protocol import OperationError
 from play_launch.deploy.machines.channel import Channel
-from play_launch.deploy.machines.hosts import HostError, LinkLost, about, connect
+from play_launch.deploy.machines.hosts import HostError, LinkLost, SessionGone, about, connect
 from play_launch.deploy.unit import stop_seconds
 
 if TYPE_CHECKING:
@@ -43,6 +43,10 @@ _STARTS: Final = 5
 """Starts of a session that was killed, in a minute."""
 _REFRESH: Final = 0.3
 """Seconds between an event and the rows that are kept for when the machine is lost."""
+_UNTIL_GONE: Final = """\
+for i in $(seq 1000); do kill -0 {pid} 2> /dev/null || break; sleep 0.05; done"""
+_PARTS: Final = ".cache/play-launch/parts"
+"""Below the home folder of a machine: what is copied there."""
 _KEPT: Final = 6
 """One more than the copies of a part that stay on its machine."""
 _LARGEST_COPY: Final = 512 * 1024 * 1024
@@ -152,7 +156,7 @@ class Part:
         try:
             return await Channel.open(self.host, self._link)
         except ConnectionRefusedError as error:
-            raise LinkLost(f"its session does not answer: {error}") from None
+            raise SessionGone(f"its session does not answer: {error}") from None
 
     async def ask(self, operation: str, arguments: object = None) -> Any:
         """Raises LinkLost and OperationError."""
@@ -160,7 +164,7 @@ class Part:
         try:
             return await channel.ask(operation, arguments)
         except EOFError:
-            raise LinkLost("its session has just ended") from None
+            raise SessionGone("its session has just ended") from None
         finally:
             channel.close()
 
@@ -235,9 +239,12 @@ class Part:
     @property
     def _folder(self) -> str:
         assert self._about is not None and self._bundle is not None  # noqa: PT018
-        return (
-            f"{self._about.home}/.cache/play-launch/parts/{_unit(self.config)}-{self._bundle.hash}"
-        )
+        return f"{self._about.home}/{_PARTS}/{self._unit}-{self._bundle.hash}"
+
+    @property
+    def _unit(self) -> str:
+        kept = (each if each.isascii() and each.isalnum() else "-" for each in self.config.name)
+        return f"{''.join(kept)}-{self.name}"
 
     @property
     def source(self) -> str:
@@ -253,9 +260,10 @@ class Part:
                 f"{self._folder}/files{path}": text for path, text in self._bundle.files.items()
             }
         await self.host.put(files)
-        others = f"{self._folder.removesuffix(self._bundle.hash)}*"
         await self.host.run(
-            f"touch {self._folder}; ls -dt {others} | tail -n +{_KEPT} | xargs rm -rf"
+            f'cd "$HOME/{_PARTS}" && touch {self._unit}-{self._bundle.hash} && '
+            f"ls -dt {self._unit}-{'?' * len(self._bundle.hash)} | tail -n +{_KEPT} "
+            "| xargs -r rm -rf"
         )
 
     def _script(self, command: str) -> str:
@@ -387,7 +395,8 @@ class Part:
         }
         words = " ".join(f"-p {shlex.quote(f'{key}={value}')}" for key, value in settings.items())
         return (
-            f"systemd-run {user}--quiet --collect --no-block --unit=play-launch-{_unit(self.config)} {words} "
+            f"systemd-run {user}--quiet --collect --no-block --unit=play-launch-{self._unit} "
+            f"{words} "
             f'-E HOME="$HOME" {bash}'
         )
 
@@ -411,11 +420,12 @@ class Part:
         async def guarded(work: Callable[[], Awaitable[None]]) -> None:
             try:
                 await work()
+            except SessionGone:
+                pass
             except LinkLost as error:
                 lost.append(error)
-            except (EOFError, OperationError) as error:
-                if not isinstance(error, EOFError):
-                    _log.warning("%s: %s", self.name, error)
+            except OperationError as error:
+                _log.warning("%s: %s", self.name, error)
             tasks.cancel_scope.cancel()
 
         async with anyio.create_task_group() as tasks:
@@ -507,7 +517,8 @@ class Part:
         """Decide what the end of the connection to its session means; raises LinkLost."""
         present = self._link in await self._links()
         if not present:
-            # A session that ends in order removes its link.
+            # A session that ends in order removes its link, and closes its recording then.
+            await self.host.run(_UNTIL_GONE.format(pid=int(self.hello["pid"])))
             self._put(PartState.ENDED, "its session has ended")
             return
         _log.warning("%s: the supervisor of its session was killed", self.name)
@@ -556,11 +567,6 @@ class Part:
     def _put(self, state: PartState, reason: str = "") -> None:
         self.state, self.reason, self.since_ns = state, reason, time.time_ns()
         self.changed.set()
-
-
-def _unit(part: ReplayConfig) -> str:
-    kept = (each if each.isascii() and each.isalnum() else "-" for each in part.name)
-    return f"{''.join(kept)}-{part.machine}"
 
 
 def _path(path: str) -> str:

@@ -1,0 +1,289 @@
+"""Systems on several machines: hosts are network namespaces, reached by ssh."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.hosts import Hosts, hosts, missing
+from tests.support.waiting import until
+
+PROGRAM = Path(sys.executable).with_name("play-launch")
+pytestmark = pytest.mark.skipif(bool(missing()), reason=f"hosts: {missing()}")
+
+
+@pytest.fixture(scope="module")
+def net(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hosts]:
+    with hosts(tmp_path_factory.mktemp("hosts"), 3) as made:
+        yield made
+
+
+def system(
+    folder: Path, name: str, *, more: str = "", h3: str = "", talker: str = "talker"
+) -> Path:
+    path = folder / f"{name}.yaml"
+    path.write_text(
+        f"""\
+version: 1
+name: {name}
+environment:
+  ROS_AUTOMATIC_DISCOVERY_RANGE: SUBNET
+  ROS_DOMAIN_ID: "{os.environ.get("ROS_DOMAIN_ID", "7")}"
+  PLAY_LAUNCH_LOG_DIR: {folder}/log
+machines:
+  main: {{local: true}}
+  h2: {{service: none, play_launch: {PROGRAM}, lost_after: 1 s}}
+  h3: {{service: none, play_launch: {PROGRAM}, lost_after: 1 s{h3}}}
+containers:
+  - name: talk
+    machine: h2
+    container_type: isolated
+    composable_nodes:
+      - {{package: play_launch_demo, plugin: "play_launch_demo::Talker", name: {talker}}}
+  - name: listen
+    machine: h3
+    container_type: isolated
+    depends_on: [talk]
+    composable_nodes:
+      - {{package: play_launch_demo, plugin: "play_launch_demo::Listener", name: listener}}
+nodes:
+  - {{name: clock, command: [sleep, "1000"]}}
+  - name: ticks
+    machine: h3
+    command: [bash, -c, "i=0; while :; do echo tick $((i += 1)); read -t 0.05 <> <(:); done"]
+"""
+    )
+    return path
+
+
+class Running:
+    """A coordinator and what it prints."""
+
+    def __init__(self, net: Hosts, config: Path) -> None:
+        self.net = net
+        self.name = config.stem
+        self.output = config.with_suffix(".out")
+        with self.output.open("ab") as out:
+            self.process = subprocess.Popen(
+                net.play_launch("replay", "--json", str(config)),
+                env=net.environment,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    def ask(self, *words: str, code: int = 0) -> str:
+        done = subprocess.run(
+            self.net.play_launch(*words, "--session", str(self.process.pid)),
+            env=self.net.environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert done.returncode == code, f"{words}: {done.stdout}{done.stderr}{self.printed()}"
+        return done.stdout + done.stderr
+
+    def loaded(self) -> Running:
+        self.ask("wait", "--timeout", "40s")
+        return self
+
+    def rows(self) -> dict[str, dict[str, Any]]:
+        return {row["name"]: row for row in json.loads(self.ask("ps", "--json"))}
+
+    def printed(self) -> str:
+        return self.output.read_text()
+
+    def events(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.printed().splitlines() if line.startswith("{")]
+
+    def ticks(self) -> list[int]:
+        """Give the numbers that the process on h3 wrote, as they were printed."""
+        texts = (each["text"] for each in self.events() if each["event"] == "output")
+        return [int(found[1]) for text in texts if (found := re.fullmatch(r"tick (\d+)", text))]
+
+    def stop(self, code: int = 130) -> None:
+        self.process.send_signal(signal.SIGINT)
+        assert self.process.wait(40) == code, self.printed()
+
+
+@contextlib.contextmanager
+def running(net: Hosts, config: Path) -> Iterator[Running]:
+    started = Running(net, config)
+    try:
+        yield started
+    finally:
+        if started.process.poll() is None:
+            started.process.send_signal(signal.SIGINT)
+            try:
+                started.process.wait(30)
+            except subprocess.TimeoutExpired:
+                started.process.kill()
+                started.process.wait()
+
+
+def supervisors(net: Hosts, number: int) -> list[int]:
+    found = []
+    for pid in net.pids(number):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            if b"\0--machine\0" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                found.append(pid)
+    return found
+
+
+def test_one_view_and_one_end_of_three_machines(net: Hosts, tmp_path: Path) -> None:
+    config = system(tmp_path, "trio")
+    with running(net, config) as trio:
+        rows = trio.loaded().rows()
+        assert {name: row["machine"] for name, row in rows.items()} == {
+            "/talk": "h2",
+            "/talker": "h2",
+            "/listen": "h3",
+            "/listener": "h3",
+            "/clock": "main",
+            "/ticks": "h3",
+        }
+        assert "/listener" in trio.ask("status", "listener")
+        until(lambda: "World" in trio.ask("logs", "listener"), "a line of the listener")
+        trio.ask("restart", "listen")
+        trio.ask("stop", "nothing_like_it", code=2)
+        system(tmp_path, "other", talker="talker2").rename(config)
+        config.write_text(config.read_text().replace("name: other", "name: trio"))
+        trio.ask("diff", str(config), code=1)
+        trio.ask("apply", str(config))
+        after = trio.rows()
+        assert "/talker2" in after
+        assert "/talker" not in after
+        assert after["/clock"]["pid"] == rows["/clock"]["pid"]
+        assert after["/talk"]["pid"] == rows["/talk"]["pid"]
+        trio.stop()
+        events = [
+            (each["machine"], each.get("kind"))
+            for each in trio.events()
+            if each.get("name") in {"/talk", "/listen"}
+            and each.get("kind") in {"started", "stopping"}
+        ]
+        # It is started after what it depends on, and stopped before that.
+        assert events.index(("h2", "started")) < events.index(("h3", "started"))
+        assert events.index(("h3", "stopping")) < events.index(("h2", "stopping"))
+    assert not supervisors(net, 2)
+    assert not supervisors(net, 3)
+
+
+def test_a_cut_loses_no_line_and_stops_nothing(net: Hosts, tmp_path: Path) -> None:
+    with running(net, system(tmp_path, "cut")) as cut:
+        rows = cut.loaded().rows()
+        until(lambda: bool(cut.ticks()), "a line")
+        net.cut(3)
+        try:
+            until(lambda: cut.rows()["/listener"]["state"] == "unreachable", "the loss")
+            assert "was loaded" in cut.rows()["/listener"]["reason"]
+            assert "unreachable" in cut.ask("restart", "listen", code=1)
+            assert cut.rows()["/talker"]["state"] == "loaded"
+        finally:
+            net.mend(3)
+        until(lambda: cut.rows()["/listener"]["state"] == "loaded", "the return")
+        assert cut.rows()["/listener"]["pid"] == rows["/listener"]["pid"]
+        seen = cut.ticks()[-1]
+        until(lambda: cut.ticks()[-1] > seen, "the next line")
+        assert cut.ticks() == list(range(1, cut.ticks()[-1] + 1))
+        cut.stop()
+
+
+def test_a_coordinator_that_was_killed_is_followed_by_one_that_adopts(
+    net: Hosts, tmp_path: Path
+) -> None:
+    config = system(tmp_path, "heir")
+    with running(net, config) as first:
+        before = first.loaded().rows()
+        first.process.kill()
+        first.process.wait()
+    with running(net, config) as second:
+        rows = second.loaded().rows()
+        assert {name: row["pid"] for name, row in rows.items()} == {
+            name: row["pid"] for name, row in before.items()
+        }
+        second.stop()
+    assert not supervisors(net, 2)
+
+
+def test_a_session_that_was_killed_is_started_again(net: Hosts, tmp_path: Path) -> None:
+    with running(net, system(tmp_path, "killed")) as killed:
+        before = killed.loaded().rows()["/listen"]["pid"]
+        (pid,) = supervisors(net, 3)
+        os.kill(pid, signal.SIGKILL)
+        until(
+            lambda: (
+                killed.rows().get("/listener", {}).get("state") == "loaded"
+                and killed.rows()["/listen"]["pid"] != before
+            ),
+            "the new one",
+        )
+        killed.stop()
+
+
+def test_without_its_coordinator_a_machine_with_stop_after_stops_itself(
+    net: Hosts, tmp_path: Path
+) -> None:
+    config = system(tmp_path, "lease", h3=", on_lost: {stop_after: 1500 ms}")
+    with running(net, config) as lease:
+        lease.loaded()
+        lease.process.kill()
+        lease.process.wait()
+        until(lambda: not supervisors(net, 3), "its end")
+        assert supervisors(net, 2)
+    with running(net, config) as heir:
+        heir.loaded().stop()
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"h3: {": "h3: {ssh: 10.77.0.99, connect_timeout: 1 s, "}, "it does not answer"),
+        ({"h3: {": "h3: {ssh: nowhere.invalid, "}, "is not known"),
+        ({"h3: {": "h3: {ssh: stranger@h3, "}, "does not let you in"),
+        ({"h3: {": "h3: {ssh: unknown_key, "}, "host key is unknown"),
+        (
+            {"lost_after: 1 s}\ncontainers": "setup: [/no/such/setup.bash]}\ncontainers"},
+            "setup.bash",
+        ),
+        ({"lost_after: 1 s}\ncontainers": "copy: [nothing]}\ncontainers"}, "/nothing"),
+    ],
+)
+def test_what_is_wrong_with_a_machine_is_said_before_anything_starts(
+    net: Hosts, tmp_path: Path, changes: dict[str, str], expected: str
+) -> None:
+    aliases = net.home / ".ssh/config"
+    if "unknown_key" not in aliases.read_text():
+        alias = "Host unknown_key\n  HostName 10.77.0.3\n  UserKnownHostsFile /dev/null\n"
+        aliases.write_text(aliases.read_text() + alias)
+    config = system(tmp_path, "wrong")
+    text = config.read_text()
+    for before, after in changes.items():
+        assert before in text
+        text = text.replace(before, after)
+    config.write_text(text)
+    done = subprocess.run(
+        net.play_launch("replay", str(config)),
+        env=net.environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "nothing was started\n" in done.stderr
+    assert "machine h3: " in done.stderr
+    assert expected in done.stderr
+    assert not supervisors(net, 2)
