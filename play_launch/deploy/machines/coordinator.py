@@ -45,6 +45,8 @@ _ACTIONS: Final = frozenset((*MEMBER_ACTIONS, *NODE_ACTIONS, "signal", "wait"))
 _LISTS: Final = frozenset(("ps", "status", "parameters"))
 _BRING_UP: Final = 600.0
 """Seconds until a start that is to be left alone counts as done."""
+_CLOSING: Final = 60.0
+"""Seconds until all recordings are closed."""
 _FAILED: Final = frozenset(("gave up", "load failed", "crashed", "lost"))
 
 
@@ -61,6 +63,8 @@ class Coordinator:
         self._followers: list[Callable[[dict[str, Any]], None]] = []
         self._met_changed = asyncio.Event()
         self._ended = asyncio.Event()
+        self._over = asyncio.Event()
+        """Whether no machine has anything left to do."""
         self._failures: dict[str, str] = {}
         self.parts = {
             name: Part(part_of(config, name), arguments, program, self._take, self._met_changed.set)
@@ -77,8 +81,7 @@ class Coordinator:
         await self._prepare()
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._exchange_conditions)
-            for part in self.parts.values():
-                tasks.start_soon(self._accompany, part)
+            tasks.start_soon(self._accompany_all)
             tasks.start_soon(self._watch_for_the_end)
             if detach:
                 await _first_done(stop.wait(), self._ended.wait(), self._all_loaded())
@@ -149,6 +152,12 @@ class Coordinator:
             part.peers = tuple(found)
             await part.change(part.config)
 
+    async def _accompany_all(self) -> None:
+        async with anyio.create_task_group() as tasks:
+            for part in self.parts.values():
+                tasks.start_soon(self._accompany, part)
+        self._over.set()
+
     async def _accompany(self, part: Part) -> None:
         try:
             await part.run()
@@ -182,6 +191,9 @@ class Coordinator:
                 for name in sorted(now):
                     part = self.parts[name]
                     tasks.start_soon(part.stop, float(stop_seconds(part.config)))
+        lost = any(each.state is PartState.UNREACHABLE for each in self.parts.values())
+        with anyio.move_on_after(0 if lost else _CLOSING):
+            await self._over.wait()
         for part in self.parts.values():
             if part.state is PartState.UNREACHABLE:
                 _log.error("%s could not be stopped: %s", part.name, part.reason)

@@ -202,6 +202,8 @@ class Part:
                 await self._follow()
             except LinkLost as lost:
                 self._lose(lost)
+        with contextlib.suppress(LinkLost):  # its recording is closed
+            await self.host.run(_UNTIL_GONE.format(pid=int(self.hello["pid"])))
 
     async def stop(self, limit: float) -> None:
         """End its session in order, and wait for that."""
@@ -517,8 +519,7 @@ class Part:
         """Decide what the end of the connection to its session means; raises LinkLost."""
         present = self._link in await self._links()
         if not present:
-            # A session that ends in order removes its link, and closes its recording then.
-            await self.host.run(_UNTIL_GONE.format(pid=int(self.hello["pid"])))
+            # A session that ends in order removes its link when nothing of it runs any more.
             self._put(PartState.ENDED, "its session has ended")
             return
         _log.warning("%s: the supervisor of its session was killed", self.name)

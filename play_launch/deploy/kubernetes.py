@@ -1,0 +1,220 @@
+"""Kubernetes manifests of a system: a pod for each machine, on the node with its label."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Any, Final
+
+import yaml
+from msgspec import Struct
+
+from play_launch.config.dependency import ABOUT_GRAPH
+from play_launch.config.machines import part_of, used_machines
+from play_launch.deploy.machines.hosts import HostError
+from play_launch.deploy.machines.part import Bundle
+from play_launch.deploy.unit import stop_seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from play_launch.config.model import ReplayConfig
+
+_LARGEST: Final = 900_000
+"""Bytes in a ConfigMap, of which etcd takes 1 MiB."""
+_FOLDER: Final = "/etc/play_launch"
+_RECORDINGS: Final = "/var/log/play_launch"
+_LABEL: Final = "play-launch/machine"
+"""Of nodes: the machine that runs there."""
+_PART_OF: Final = "app.kubernetes.io/part-of"
+_NAME: Final = "app.kubernetes.io/name"
+_SPARE: Final = 5
+"""Seconds from the end of an orderly stop to SIGKILL."""
+_PROBE: Final = ["play-launch", "wait", "--for", "loaded", "--timeout", "1s"]
+_START_LIMIT: Final = 300
+"""Seconds for a start, downloads of models included."""
+_PERIOD: Final = 10
+"""Seconds between probes: each takes 0.1 s of CPU time."""
+
+
+class Workload(Struct, frozen=True, kw_only=True):
+    """What to write besides the configuration."""
+
+    image: str
+    arguments: Sequence[str] = ()
+    """Of the configuration, ``name:=value``."""
+    fleet: bool = False
+    """Whether each node with the label runs the machine (DaemonSet)."""
+
+
+def manifests(config: ReplayConfig, workload: Workload) -> str:
+    """Write a ConfigMap and a workload for each machine; raises HostError with the fix."""
+    names: list[str] = used_machines(config) if config.machines else [""]
+    parts = {name: part_of(config, name) if name else config for name in names}
+    _refuse_conditions(parts)
+    if workload.fleet and config.duration is not None:
+        raise HostError("duration makes a Job of it, which is no DaemonSet: leave one of them out")
+    documents: list[dict[str, Any]] = [_config_map(config, workload)]
+    documents += [_workload(config, part, workload, name) for name, part in parts.items()]
+    return yaml.safe_dump_all(documents, sort_keys=False, default_flow_style=False, width=100)
+
+
+def kustomization(config: ReplayConfig, image: str) -> str:
+    """Write an overlay in which image and namespace are changed."""
+    name, _, tag = image.partition(":")
+    overlay: dict[str, Any] = {
+        "apiVersion": "kustomize.config.k8s.io/v1beta1",
+        "kind": "Kustomization",
+        "namespace": _plain(config.name),
+        "resources": ["system.yaml"],
+        "images": [{"name": name, "newName": name, "newTag": tag or "latest"}],
+    }
+    return yaml.safe_dump(overlay, sort_keys=False)
+
+
+def _refuse_conditions(parts: dict[str, ReplayConfig]) -> None:
+    """Refuse conditions that a coordinator would have to report from another machine."""
+    for part in parts.values():
+        for unit, rule in part.start_rules.items():
+            for each in rule.dependencies:
+                if each.machine and each.condition not in ABOUT_GRAPH:
+                    raise HostError(
+                        f"{unit} waits for {each}, and pods do not know each other's state: wait "
+                        "for a topic, service or node of it in depends_on"
+                    )
+
+
+def _config_map(config: ReplayConfig, workload: Workload) -> dict[str, Any]:
+    files = _files(config, workload)
+    size = sum(map(len, files.values()))
+    if size > _LARGEST:
+        raise HostError(
+            f"the files of the configuration have {size} bytes, and a ConfigMap takes {_LARGEST}: "
+            "move maps and the like into the image, or onto a volume"
+        )
+    data: dict[str, str] = {}
+    for number, content in enumerate(files.values()):
+        try:
+            data[f"file{number}"] = content.decode()
+        except UnicodeDecodeError:
+            raise HostError(f"{list(files)[number]} is no text: move it into the image") from None
+    return {
+        "apiVersion": "v1",
+        "kind": "ConfigMap",
+        "metadata": {"name": _plain(config.name), "labels": {_PART_OF: _plain(config.name)}},
+        "data": data,
+    }
+
+
+def _files(config: ReplayConfig, workload: Workload) -> dict[str, bytes]:
+    copied = [path for machine in config.machines.values() for path in machine.copy]
+    return Bundle(config, workload.arguments, copied).files
+
+
+def _workload(
+    config: ReplayConfig, part: ReplayConfig, workload: Workload, machine: str
+) -> dict[str, Any]:
+    name = _plain(f"{config.name}-{machine}" if machine else config.name)
+    labels = {_NAME: name, _PART_OF: _plain(config.name)}
+    template = {"metadata": {"labels": labels}, "spec": _pod(config, part, workload, machine)}
+    metadata = {"name": name, "labels": labels}
+    if config.duration is not None:
+        template["spec"]["restartPolicy"] = "Never"
+        limit = math.ceil(config.duration) + _START_LIMIT + stop_seconds(part)
+        spec = {"backoffLimit": 0, "activeDeadlineSeconds": limit, "template": template}
+        return {"apiVersion": "batch/v1", "kind": "Job", "metadata": metadata, "spec": spec}
+    selector = {"matchLabels": {_NAME: name}}
+    if workload.fleet:
+        spec = {"selector": selector, "template": template}
+        return {"apiVersion": "apps/v1", "kind": "DaemonSet", "metadata": metadata, "spec": spec}
+    # Two instances of a node must never run at once.
+    spec = {
+        "replicas": 1,
+        "strategy": {"type": "Recreate"},
+        "selector": selector,
+        "template": template,
+    }
+    return {"apiVersion": "apps/v1", "kind": "Deployment", "metadata": metadata, "spec": spec}
+
+
+def _pod(
+    config: ReplayConfig, part: ReplayConfig, workload: Workload, machine: str
+) -> dict[str, Any]:
+    files = _files(config, workload)
+    source = f"{_FOLDER}{config.source.absolute()}"
+    words = ["play-launch", "replay", "--quiet", *(["--machine", machine] if machine else [])]
+    container: dict[str, Any] = {
+        "name": "play-launch",
+        "image": workload.image,
+        "command": [*words, source, *workload.arguments],
+        "env": [
+            {"name": "HOME", "value": "/tmp"},  # noqa: S108 - ROS writes its log files there
+            {"name": "PLAY_LAUNCH_LOG_DIR", "value": _RECORDINGS},
+        ],
+        "startupProbe": {
+            "exec": {"command": _PROBE},
+            "periodSeconds": 2,
+            "timeoutSeconds": 5,
+            "failureThreshold": _START_LIMIT // 2,
+        },
+        "readinessProbe": {
+            "exec": {"command": _PROBE},
+            "periodSeconds": _PERIOD,
+            "timeoutSeconds": 5,
+        },
+        "volumeMounts": [
+            {"name": "config", "mountPath": _FOLDER, "readOnly": True},
+            {"name": "shared-memory", "mountPath": "/dev/shm"},  # noqa: S108
+            {"name": "recordings", "mountPath": _RECORDINGS},
+        ],
+    }
+    if config.duration is not None:
+        del container["startupProbe"], container["readinessProbe"]
+    if _asks_for_priorities(part):
+        container["securityContext"] = {"capabilities": {"add": ["SYS_NICE"]}}
+    items = [
+        {"key": f"file{number}", "path": path.removeprefix("/")}
+        for number, path in enumerate(files)
+    ]
+    # Two pods of a system on one node would not share /dev/shm, and Fast DDS, which takes them for
+    # one host, would deliver nothing between them.
+    apart = {
+        "labelSelector": {"matchLabels": {_PART_OF: _plain(config.name)}},
+        "topologyKey": "kubernetes.io/hostname",
+    }
+    return {
+        "hostNetwork": True,
+        "dnsPolicy": "ClusterFirstWithHostNet",
+        **({"nodeSelector": {_LABEL: machine}} if machine else {}),
+        "affinity": {
+            "podAntiAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": [apart]}
+        },
+        # A robot goes on without its control plane.
+        "tolerations": [
+            {"key": f"node.kubernetes.io/{why}", "operator": "Exists", "effect": "NoExecute"}
+            for why in ("unreachable", "not-ready")
+        ],
+        "terminationGracePeriodSeconds": stop_seconds(part) + _SPARE,
+        "containers": [container],
+        "volumes": [
+            {"name": "config", "configMap": {"name": _plain(config.name), "items": items}},
+            {"name": "shared-memory", "emptyDir": {"medium": "Memory"}},
+            {
+                "name": "recordings",
+                "hostPath": {"path": _RECORDINGS, "type": "DirectoryOrCreate"},
+            },
+        ],
+    }
+
+
+def _asks_for_priorities(part: ReplayConfig) -> bool:
+    every = [each.resources for each in part.members]
+    every += [node.resources for each in part.containers for node in each.composable_nodes]
+    return any(
+        each.scheduler is not None or (each.nice is not None and each.nice < 0) for each in every
+    )
+
+
+def _plain(name: str) -> str:
+    """Return a name as Kubernetes has them (RFC 1123)."""
+    return re.sub("[^a-z0-9]+", "-", name.lower()).strip("-")[:63].strip("-") or "system"

@@ -1,0 +1,125 @@
+"""Kubernetes manifests, as the schemas of Kubernetes see them."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.support.replay import run
+
+SYSTEM = """\
+version: 1
+name: My Robot
+machines: {main: {local: true}, vision: {}}
+include: more.yaml
+environment: {ROS_DOMAIN_ID: "5"}
+stop: {ask: 1 s, sigint: 1 s, sigterm: 1 s}
+containers:
+  - name: sense
+    machine: vision
+    container_type: isolated
+    resources: {scheduler: {policy: fifo, priority: 10}}
+    composable_nodes:
+      - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker,
+         parameters: [params.yaml]}
+nodes:
+  - {name: plan, command: [sleep, "${arg:seconds:-9}"], depends_on: [{node: talker}]}
+"""
+
+
+def written(folder: Path, text: str, *words: str, code: int = 0) -> str:
+    (folder / "more.yaml").write_text("version: 1\n")
+    (folder / "params.yaml").write_text("/**:\n  ros__parameters: {rate: 1.0}\n")
+    (folder / "system.yaml").write_text(text)
+    done = run("kubernetes", folder / "system.yaml", *words, code=code)
+    return done.stdout + done.stderr
+
+
+def documents(text: str) -> list[dict[str, Any]]:
+    return list(yaml.safe_load_all(text))
+
+
+def test_each_machine_is_a_deployment_with_its_part(tmp_path: Path) -> None:
+    config, main, vision = documents(written(tmp_path, SYSTEM, "seconds:=7", "--image", "robot:2"))
+    assert config["kind"] == "ConfigMap"
+    assert len(config["data"]) == 3
+    assert [each["metadata"]["name"] for each in (main, vision)] == [
+        "my-robot-main",
+        "my-robot-vision",
+    ]
+    pod = vision["spec"]["template"]["spec"]
+    (container,) = pod["containers"]
+    assert container["image"] == "robot:2"
+    assert container["command"][:5] == ["play-launch", "replay", "--quiet", "--machine", "vision"]
+    assert container["command"][-1] == "seconds:=7"
+    assert pod["nodeSelector"] == {"play-launch/machine": "vision"}
+    assert container["securityContext"]["capabilities"]["add"] == ["SYS_NICE"]
+    assert "securityContext" not in main["spec"]["template"]["spec"]["containers"][0]
+    assert pod["terminationGracePeriodSeconds"] > 3
+    # The files lie where the command looks for them.
+    paths = {f"/etc/play_launch/{each['path']}" for each in pod["volumes"][0]["configMap"]["items"]}
+    assert container["command"][5] in paths
+    assert f"/etc/play_launch{tmp_path}/params.yaml" in paths
+
+
+def test_the_files_of_the_config_map_are_a_configuration_that_is_accepted(tmp_path: Path) -> None:
+    config, _, vision = documents(written(tmp_path, SYSTEM))
+    items = vision["spec"]["template"]["spec"]["volumes"][0]["configMap"]["items"]
+    for item in items:
+        path = tmp_path / "mounted" / item["path"]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(config["data"][item["key"]])
+    source = tmp_path / "mounted" / str(tmp_path / "system.yaml").removeprefix("/")
+    assert "1 container with 1 node" in run("check", source, "--machine", "vision", code=0).stdout
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "kind"),
+    [
+        ("", ("--fleet",), "DaemonSet"),
+        ("duration: 30 s\n", (), "Job"),
+        ("", (), "Deployment"),
+    ],
+)
+@pytest.mark.parametrize("version", ["1.30", "1.36"])
+def test_kubernetes_accepts_them(
+    tmp_path: Path, change: str, words: tuple[str, ...], kind: str, version: str
+) -> None:
+    found = documents(written(tmp_path, SYSTEM + change, *words))
+    assert [each["kind"] for each in found] == ["ConfigMap", kind, kind]
+    if importlib.util.find_spec("kubernetes_validate") is None:
+        pytest.skip("needs kubernetes-validate, which has the schemas")
+    import kubernetes_validate
+
+    for each in found:
+        kubernetes_validate.validate(each, version, strict=True)
+
+
+def test_a_folder_gets_an_overlay(tmp_path: Path) -> None:
+    written(tmp_path, SYSTEM, "--output", str(tmp_path / "k8s"), "--image", "registry/robot:2")
+    overlay = yaml.safe_load((tmp_path / "k8s/kustomization.yaml").read_text())
+    assert overlay["resources"] == ["system.yaml"]
+    assert overlay["images"] == [
+        {"name": "registry/robot", "newName": "registry/robot", "newTag": "2"}
+    ]
+    assert documents((tmp_path / "k8s/system.yaml").read_text())
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "expected"),
+    [
+        (("{node: talker}", "talker"), (), "wait for a topic, service or node"),
+        (("include: more.yaml", "duration: 3 s"), ("--fleet",), "is no DaemonSet"),
+        (("vision: {}", "vision: {copy: [nothing]}"), (), "there is no"),
+        (("name: sense", "nme: sense"), (), "nothing was written"),
+    ],
+)
+def test_what_cannot_run_there_is_refused(
+    tmp_path: Path, change: tuple[str, str], words: tuple[str, ...], expected: str
+) -> None:
+    assert change[0] in SYSTEM
+    assert expected in written(tmp_path, SYSTEM.replace(*change), *words, code=2)
