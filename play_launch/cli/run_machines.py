@@ -124,7 +124,7 @@ async def _until_the_end(
     with log_published(publish_log), signals.delivered_to(stop.request):
         problem: HostError | None = None
         code: int = ExitCode.OK
-        async with serving(control, hello, coordinator):
+        async with serving(control, hello, coordinator.requests):
             try:
                 code = await coordinator.run(stop.requested, detach=detach)
             except HostError as error:

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from play_launch.config.includes import Documents
-from play_launch.config.machines import Placement, machines_at
+from play_launch.config.machines import DiscoveryBy
 from play_launch.config.model import (
     DEFAULT_TOPICS,
     BeforeCrashConfig,
     ContainerType,
-    DiscoveryBy,
     KeepConfig,
     RecordConfig,
     ReplayConfig,
@@ -23,6 +22,7 @@ from play_launch.config.model import (
     StopLimits,
 )
 from play_launch.config.problems import ConfigError, Problem, Report
+from play_launch.config.resolve.machines import Placement, machines_at
 from play_launch.config.resolve.nodes import (
     NodeNames,
     SharedContext,

@@ -5,7 +5,6 @@ Nothing in here reads YAML. Durations are seconds, full names are absolute ROS n
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from enum import IntEnum, StrEnum
 from pathlib import Path
@@ -16,6 +15,7 @@ from msgspec import Struct
 from msgspec.structs import force_setattr
 
 from play_launch.config.dependency import StartRule
+from play_launch.config.machines import DiscoveryBy, MachineConfig
 from play_launch.config.node_key import NodeKey
 from play_launch.config.resources import GroupPolicy, Resources
 
@@ -257,43 +257,6 @@ class ManagedConfig(Struct, frozen=True):
     name: str
     autostart: Autostart | None = None
     timeout: float = 60.0
-
-
-class Service(StrEnum):
-    """What keeps a session running on another machine: systemd's manager, or nothing."""
-
-    USER = "user"
-    SYSTEM = "system"
-    NONE = "none"
-
-
-class MachineConfig(Struct, frozen=True, kw_only=True):
-    """A computer that runs a part of the system: this one, or one that ssh reaches.
-
-    `setup` are files that bash sources there, `copy` are absolute paths of files and folders here,
-    times are seconds. Without the coordinator it stops itself after `stop_after`.
-    """
-
-    name: str
-    local: bool = False
-    ssh: str = ""
-    setup: tuple[str, ...] = ()
-    play_launch: str = "play-launch"
-    environment: Mapping[str, str] = _EMPTY
-    service: Service = Service.USER
-    connect_timeout: float = 10.0
-    lost_after: float = 4.0
-    stop_after: float = math.inf
-    optional: bool = False
-    copy: tuple[Path, ...] = ()
-    max_clock_offset: float = 0.02
-
-
-class DiscoveryBy(StrEnum):
-    """How nodes of several machines find each other: by multicast, or by listed addresses."""
-
-    MULTICAST = "multicast"
-    PEERS = "peers"
 
 
 class ComposableNodeConfig(Struct, frozen=True, kw_only=True):

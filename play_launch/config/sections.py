@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from play_launch.config import kinds
 from play_launch.config.dependency import OF_UNITS, OnTimeout
-from play_launch.config.model import DiscoveryBy, Service
+from play_launch.config.machines import DiscoveryBy, Service
 from play_launch.config.resources import SchedulerPolicy
 from play_launch.config.section import ConfigSection, mapped, nested, optional, raw, required
 

@@ -11,8 +11,8 @@ from msgspec import Struct
 
 from play_launch.config.dependency import ABOUT_GRAPH
 from play_launch.config.machines import part_of, used_machines
+from play_launch.deploy.machines.bundle import files_of
 from play_launch.deploy.machines.hosts import HostError
-from play_launch.deploy.machines.part import Bundle
 from play_launch.deploy.unit import stop_seconds
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def manifests(config: ReplayConfig, workload: Workload) -> str:
     _refuse_conditions(parts)
     if workload.fleet and config.duration is not None:
         raise HostError("duration makes a Job of it, which is no DaemonSet: leave one of them out")
-    documents: list[dict[str, Any]] = [_config_map(config, workload)]
+    documents: list[dict[str, Any]] = [_config_map(config)]
     documents += [_workload(config, part, workload, name) for name, part in parts.items()]
     return yaml.safe_dump_all(documents, sort_keys=False, default_flow_style=False, width=100)
 
@@ -84,8 +84,8 @@ def _refuse_conditions(parts: dict[str, ReplayConfig]) -> None:
                     )
 
 
-def _config_map(config: ReplayConfig, workload: Workload) -> dict[str, Any]:
-    files = _files(config, workload)
+def _config_map(config: ReplayConfig) -> dict[str, Any]:
+    files = _files(config)
     size = sum(map(len, files.values()))
     if size > _LARGEST:
         raise HostError(
@@ -106,9 +106,9 @@ def _config_map(config: ReplayConfig, workload: Workload) -> dict[str, Any]:
     }
 
 
-def _files(config: ReplayConfig, workload: Workload) -> dict[str, bytes]:
+def _files(config: ReplayConfig) -> dict[str, bytes]:
     copied = [path for machine in config.machines.values() for path in machine.copy]
-    return Bundle(config, workload.arguments, copied).files
+    return files_of(config, copied)
 
 
 def _workload(
@@ -140,7 +140,7 @@ def _workload(
 def _pod(
     config: ReplayConfig, part: ReplayConfig, workload: Workload, machine: str
 ) -> dict[str, Any]:
-    files = _files(config, workload)
+    files = _files(config)
     source = f"{_FOLDER}{config.source.absolute()}"
     words = ["play-launch", "replay", "--quiet", *(["--machine", machine] if machine else [])]
     container: dict[str, Any] = {

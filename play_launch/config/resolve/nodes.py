@@ -49,8 +49,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from collections.abc import Mapping as Variables
 
-    from play_launch.config.machines import Placement
     from play_launch.config.problems import Location
+    from play_launch.config.resolve.machines import Placement
     from play_launch.config.resolve.order import StartRules
     from play_launch.config.resolve.parameter_files import ParameterFileReader
     from play_launch.config.resolve.policy import GroupRules, Policy

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.control.protocol import (
@@ -15,11 +16,13 @@ from play_launch.control.protocol import (
 from play_launch.deploy.machines.hosts import LinkLost
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Sequence
+    from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 
     from play_launch.deploy.machines.hosts import Host, Reader
 
 _PIECE: Final = 64 * 1024
+_SAMPLES: Final = 8
+"""Measurements of a clock."""
 
 
 class Channel:
@@ -94,3 +97,21 @@ class Channel:
             *self._lines, rest = bytes(self._rest).split(b"\n")
             self._rest = bytearray(rest)
         return decode(self._lines.pop(0))
+
+
+async def clock_offset(connect: Callable[[], Awaitable[Channel]]) -> tuple[int, int]:
+    """Return the time of the shortest round trip, and the offset of the other clock in it, in ns.
+
+    Raises LinkLost and OperationError.
+    """
+    samples = []
+    for _ in range(_SAMPLES):
+        channel = await connect()
+        try:
+            before = time.time_ns()
+            there = (await channel.ask("clock"))["stamp_ns"]
+            after = time.time_ns()
+        finally:
+            channel.close()
+        samples.append((after - before, there - (before + after) // 2))
+    return min(samples)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.config.model import MachineConfig
+    from play_launch.config.machines import MachineConfig
 
 _MARKER: Final = "==play-launch=="
 _KEEPALIVES: Final = 3

@@ -4,30 +4,28 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hashlib
-import json
 import logging
 import math
-import os
 import shlex
 import time
 from enum import StrEnum
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import anyio
 
-from play_launch.config.model import Service
+from play_launch.config.machines import Service
 from play_launch.control.feed import USUAL_KINDS
 from play_launch.control.protocol import OperationError
-from play_launch.deploy.machines.channel import Channel
+from play_launch.deploy.machines.bundle import Bundle, require_fit
+from play_launch.deploy.machines.channel import Channel, clock_offset
 from play_launch.deploy.machines.hosts import HostError, LinkLost, SessionGone, about, connect
-from play_launch.deploy.unit import stop_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Sequence
-    from pathlib import Path
 
-    from play_launch.config.model import MachineConfig, ReplayConfig
+    from play_launch.config.machines import MachineConfig
+    from play_launch.config.model import ReplayConfig
     from play_launch.deploy.machines.hosts import About, Host
 
 _log = logging.getLogger(__name__)
@@ -36,8 +34,6 @@ _RETRY: Final = (0.25, 5.0)
 _APPEARS: Final = 60.0
 """Seconds from the start of a session until its socket exists, on a cold disk."""
 _POLL: Final = 0.1
-_SAMPLES: Final = 8
-"""Measurements of the clock, of which the one with the least delay counts."""
 _CLOCK_PERIOD: Final = 30.0
 _STARTS: Final = 5
 """Starts of a session that was killed, in a minute."""
@@ -45,11 +41,6 @@ _REFRESH: Final = 0.3
 """Seconds between an event and the rows that are kept for when the machine is lost."""
 _UNTIL_GONE: Final = """\
 for i in $(seq 1000); do kill -0 {pid} 2> /dev/null || break; sleep 0.05; done"""
-_PARTS: Final = ".cache/play-launch/parts"
-"""Below the home folder of a machine: what is copied there."""
-_KEPT: Final = 6
-"""One more than the copies of a part that stay on its machine."""
-_LARGEST_COPY: Final = 512 * 1024 * 1024
 
 
 class PartState(StrEnum):
@@ -62,37 +53,6 @@ class PartState(StrEnum):
     """Its session runs on, as far as is known."""
     ENDED = "ended"
     FAILED = "failed"
-
-
-class Bundle:
-    """The files of a configuration, by the paths that they get on another machine."""
-
-    def __init__(
-        self, config: ReplayConfig, arguments: Sequence[str], copy: Sequence[Path]
-    ) -> None:
-        """Read what is to be copied; raises HostError."""
-        self.files: dict[str, bytes] = {str(config.source.absolute()): config.text}
-        for file in (*config.included_files, *config.parameter_files):
-            self.files[os.path.normpath(file.path.absolute())] = file.text
-        size = 0
-        for path in (each for folder in copy for each in _files_below(folder)):
-            size += path.stat().st_size
-            if size > _LARGEST_COPY:
-                raise HostError(f"copy: more than {_LARGEST_COPY >> 20} MiB; copy it beforehand")
-            self.files[str(path)] = path.read_bytes()
-        digest = hashlib.sha256(json.dumps(list(arguments)).encode())
-        for name in sorted(self.files):
-            digest.update(f"{name}\0{len(self.files[name])}\0".encode())
-            digest.update(self.files[name])
-        self.hash = digest.hexdigest()[:16]
-
-
-def _files_below(path: Path) -> list[Path]:
-    if path.is_file():
-        return [path]
-    if not path.is_dir():
-        raise HostError(f"copy: there is no {path}")
-    return sorted(each for each in path.rglob("*") if each.is_file())
 
 
 class Part:
@@ -144,6 +104,11 @@ class Part:
     # What others use.
 
     @property
+    def bundle(self) -> Bundle:
+        assert self._bundle is not None
+        return self._bundle
+
+    @property
     def host(self) -> Host:
         if self._host is None:
             raise LinkLost("not connected")
@@ -172,16 +137,14 @@ class Part:
         """Return a row with the place of its declaration on this machine."""
         if self.machine.local or self._bundle is None or "declared" not in row:
             return row
-        return {**row, "declared": row["declared"].removeprefix(f"{self._folder}/files")}
+        return {**row, "declared": row["declared"].removeprefix(f"{self.bundle.folder}/files")}
 
     async def prepare(self) -> None:
         """Connect, bring the files there, and let the machine check its part; raises HostError."""
         await self._connect()
         try:
             await self._bring(self.config)
-            await self._check()
-            if self.machine.service is Service.USER and not self.machine.local:
-                await self._require_user_service()
+            await require_fit(self.host, self.bundle)
         except LinkLost as lost:
             raise HostError(str(lost)) from None
 
@@ -226,7 +189,7 @@ class Part:
         """Bring another configuration there, and return its path."""
         self.config = part
         await self._bring(part)
-        return self.source
+        return self.bundle.source
 
     # Start.
 
@@ -238,84 +201,19 @@ class Part:
             name = self.machine.ssh or self.name
             raise HostError(f"it does not answer: {lost}; try `ssh {name} true`") from None
 
-    @property
-    def _folder(self) -> str:
-        assert self._about is not None and self._bundle is not None  # noqa: PT018
-        return f"{self._about.home}/{_PARTS}/{self._unit}-{self._bundle.hash}"
-
-    @property
-    def _unit(self) -> str:
-        kept = (each if each.isascii() and each.isalnum() else "-" for each in self.config.name)
-        return f"{''.join(kept)}-{self.name}"
-
-    @property
-    def source(self) -> str:
-        """Path of the configuration there."""
-        source = str(self.config.source.absolute())
-        return source if self.machine.local else f"{self._folder}/files{source}"
-
     async def _bring(self, part: ReplayConfig) -> None:
-        self._bundle = await asyncio.to_thread(Bundle, part, self._arguments, self.machine.copy)
-        files = {f"{self._folder}/start.sh": self._script("replay --quiet").encode()}
-        if not self.machine.local:
-            files |= {
-                f"{self._folder}/files{path}": text for path, text in self._bundle.files.items()
-            }
-        await self.host.put(files)
-        await self.host.run(
-            f'cd "$HOME/{_PARTS}" && touch {self._unit}-{self._bundle.hash} && '
-            f"ls -dt {self._unit}-{'?' * len(self._bundle.hash)} | tail -n +{_KEPT} "
-            "| xargs -r rm -rf"
+        assert self._about is not None
+        make = partial(
+            Bundle,
+            part,
+            self._arguments,
+            home=self._about.home,
+            program=self._program,
+            peers=self.peers,
         )
-
-    def _script(self, command: str) -> str:
-        """Write a script that becomes a play-launch of the part, in the machine's environment."""
-        lines = ["#!/bin/bash"]
-        lines += [f". {_path(file)} || exit 3" for file in self.machine.setup]
-        variables = dict(self.machine.environment)
-        if self.peers:
-            variables.setdefault("ROS_STATIC_PEERS", ";".join(self.peers))
-        lines += [f"export {name}={shlex.quote(value)}" for name, value in variables.items()]
-        lines.append(f"cd {shlex.quote(os.path.dirname(self.source))}")  # noqa: PTH120
-        program = (
-            shlex.quote(self._program) if self.machine.local else _path(self.machine.play_launch)
-        )
-        words = ["--machine", self.name, self.source, *self._arguments]
-        lines.append(f"exec {program} {command} {shlex.join(words)}")
-        return "\n".join(lines) + "\n"
-
-    async def _check(self) -> None:
-        output = await self.host.run(self._script("check --json"))
-        try:
-            found = json.loads(output.stdout)
-        except ValueError:
-            reason = output.stderr or output.stdout or "no output"
-            if output.status == 127:
-                reason += "; install play-launch there, or give its path as play_launch"
-            raise HostError(f"play-launch cannot be run there: {reason}") from None
-        if not found["valid"]:
-            problems = [
-                f"{each['location']['file']}:{each['location']['line']}: {each['message']}"
-                for each in found["problems"]
-            ]
-            raise HostError("the configuration cannot be used there:\n  " + "\n  ".join(problems))
-
-    async def _require_user_service(self) -> None:
-        output = await self.host.run(
-            "systemctl --user show-environment > /dev/null && "
-            'loginctl show-user "$(id -un)" -p Linger --value'
-        )
-        name = self.machine.ssh or self.name
-        if output.status:
-            raise HostError(
-                f"it has no systemd manager for this user ({output.stderr or 'no answer'}): "
-                f"give service: none, or service: system"
-            )
-        if output.stdout.strip() != "yes":
-            raise HostError(
-                "systemd would stop the session after this login; run once: "
-                f"ssh {name} loginctl enable-linger (as another user: with sudo and the name)"
-            )
+        self._bundle = await asyncio.to_thread(make)
+        await self.host.put(self._bundle.to_copy())
+        await self.host.run(self._bundle.clean_up_command())
 
     async def _running(self) -> str:
         """Return the link of a session of this part that runs already; empty if there is none."""
@@ -335,7 +233,7 @@ class Part:
         _log.info("%s: its session runs already and is adopted", self.name)
         channel = await Channel.open(self.host, link)
         try:
-            await channel.ask("apply", {"path": self.source, "arguments": self._arguments})
+            await channel.ask("apply", {"path": self.bundle.source, "arguments": self._arguments})
         except OperationError as error:
             raise HostError(
                 f"another configuration runs there, and cannot be changed to this one: {error}"
@@ -356,7 +254,7 @@ class Part:
         if len(self._starts) > _STARTS:
             raise HostError("its session was killed again and again; see its journal or output")
         before = await self._links()
-        output = await self.host.run(self._start_command())
+        output = await self.host.run(self.bundle.start_command())
         if output.status:
             raise HostError(f"its session cannot be started: {output.stderr or output.stdout}")
         pid = output.stdout.strip()
@@ -373,34 +271,12 @@ class Part:
             if pid:
                 alive = await self.host.run(f"kill -0 {pid}")
                 if alive.status:
-                    tail = await self.host.run(f"tail -n 5 {shlex.quote(self._folder)}/output")
+                    tail = await self.host.run(
+                        f"tail -n 5 {shlex.quote(self.bundle.folder)}/output"
+                    )
                     raise HostError(f"its session ended at once: {tail.stdout.strip()}")
             await asyncio.sleep(_POLL)
         raise HostError(f"its session did not answer within {_APPEARS:g} s")
-
-    def _start_command(self) -> str:
-        script, output = (shlex.quote(f"{self._folder}/{name}") for name in ("start.sh", "output"))
-        bash = f"bash --norc --noprofile {script}"
-        if self.machine.local or self.machine.service is Service.NONE:
-            return f"setsid {bash} < /dev/null > {output} 2>&1 & echo $!"
-        user = "--user " if self.machine.service is Service.USER else ""
-        settings = {
-            "Type": "notify",
-            "NotifyAccess": "main",
-            "KillMode": "mixed",
-            "TimeoutStopSec": str(stop_seconds(self.config)),
-            "Delegate": "yes",
-            "Restart": "on-failure",
-            "RestartSec": "1",
-            "SuccessExitStatus": "129 130 143",
-            "RestartPreventExitStatus": "2",
-        }
-        words = " ".join(f"-p {shlex.quote(f'{key}={value}')}" for key, value in settings.items())
-        return (
-            f"systemd-run {user}--quiet --collect --no-block --unit=play-launch-{self._unit} "
-            f"{words} "
-            f'-E HOME="$HOME" {bash}'
-        )
 
     # A session that runs.
 
@@ -495,17 +371,7 @@ class Part:
             await asyncio.sleep(min(lease / 4, _CLOCK_PERIOD))
 
     async def _measure_clock(self) -> None:
-        samples = []
-        for _ in range(_SAMPLES):
-            channel = await self.open()
-            try:
-                before = time.time_ns()
-                there = (await channel.ask("clock"))["stamp_ns"]
-                after = time.time_ns()
-            finally:
-                channel.close()
-            samples.append((after - before, there - (before + after) // 2))
-        trip, self.offset_ns = min(samples)
+        trip, self.offset_ns = await clock_offset(self.open)
         limit = self.machine.max_clock_offset
         if abs(self.offset_ns) > limit * 1e9 + trip / 2:
             _log.warning(
@@ -568,10 +434,3 @@ class Part:
     def _put(self, state: PartState, reason: str = "") -> None:
         self.state, self.reason, self.since_ns = state, reason, time.time_ns()
         self.changed.set()
-
-
-def _path(path: str) -> str:
-    """Quote a path of another machine; ~ is the home folder there."""
-    if path.startswith("~/"):
-        return f'"$HOME"/{shlex.quote(path[2:])}'
-    return shlex.quote(path)

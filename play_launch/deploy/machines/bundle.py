@@ -1,0 +1,183 @@
+"""What is brought to a machine: the files of its part, and the commands that use them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shlex
+from typing import TYPE_CHECKING, Final
+
+from play_launch.config.machines import Service
+from play_launch.deploy.machines.hosts import HostError
+from play_launch.deploy.unit import stop_seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from play_launch.config.model import ReplayConfig
+    from play_launch.deploy.machines.hosts import Host
+
+_PARTS: Final = ".cache/play-launch/parts"
+"""Below the home folder of a machine."""
+_KEPT: Final = 6
+"""One more than the copies of a part that stay on its machine."""
+_LARGEST: Final = 512 * 1024 * 1024
+"""Bytes that are copied."""
+
+
+def files_of(config: ReplayConfig, copy: Iterable[Path]) -> dict[str, bytes]:
+    """Return the files of a configuration, and those to copy, by path; raises HostError."""
+    files = {str(config.source.absolute()): config.text}
+    for file in (*config.included_files, *config.parameter_files):
+        files[os.path.normpath(file.path.absolute())] = file.text
+    size = 0
+    for path in (each for folder in copy for each in _files_below(folder)):
+        size += path.stat().st_size
+        if size > _LARGEST:
+            raise HostError(f"copy: more than {_LARGEST >> 20} MiB; copy it beforehand")
+        files[str(path)] = path.read_bytes()
+    return files
+
+
+def _files_below(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise HostError(f"copy: there is no {path}")
+    return sorted(each for each in path.rglob("*") if each.is_file())
+
+
+class Bundle:
+    """The part of a machine, in a folder that is named by its content."""
+
+    def __init__(
+        self,
+        part: ReplayConfig,
+        arguments: Sequence[str],
+        *,
+        home: str,
+        program: str,
+        peers: Sequence[str],
+    ) -> None:
+        """Read all files; ``home`` is of the machine, ``program`` is the local play-launch.
+
+        Raises HostError.
+        """
+        self._part = part
+        self.machine = part.machines[part.machine]
+        self._arguments = arguments
+        self._program = program
+        self._peers = peers
+        self._files = files_of(part, self.machine.copy)
+        digest = hashlib.sha256(json.dumps(list(arguments)).encode())
+        for name in sorted(self._files):
+            digest.update(f"{name}\0{len(self._files[name])}\0".encode())
+            digest.update(self._files[name])
+        self._hash = digest.hexdigest()[:16]
+        kept = (each if each.isascii() and each.isalnum() else "-" for each in part.name)
+        self.unit = f"{''.join(kept)}-{part.machine}"
+        self.folder = f"{home}/{_PARTS}/{self.unit}-{self._hash}"
+        source = str(part.source.absolute())
+        self.source = source if self.machine.local else f"{self.folder}/files{source}"
+        """Path of the configuration there."""
+
+    def to_copy(self) -> dict[str, bytes]:
+        """Return the files by their paths there."""
+        files = {f"{self.folder}/start.sh": self.script("replay --quiet").encode()}
+        if not self.machine.local:
+            files |= {f"{self.folder}/files{path}": text for path, text in self._files.items()}
+        return files
+
+    def clean_up_command(self) -> str:
+        """Return a command that removes earlier copies, all but a few."""
+        return (
+            f'cd "$HOME/{_PARTS}" && touch {self.unit}-{self._hash} && '
+            f"ls -dt {self.unit}-{'?' * len(self._hash)} | tail -n +{_KEPT} | xargs -r rm -rf"
+        )
+
+    def script(self, command: str) -> str:
+        """Write a script that becomes a play-launch of the part, in the machine's environment."""
+        lines = ["#!/bin/bash"]
+        lines += [f". {_path(file)} || exit 3" for file in self.machine.setup]
+        variables = dict(self.machine.environment)
+        if self._peers:
+            variables.setdefault("ROS_STATIC_PEERS", ";".join(self._peers))
+        lines += [f"export {name}={shlex.quote(value)}" for name, value in variables.items()]
+        lines.append(f"cd {shlex.quote(os.path.dirname(self.source))}")  # noqa: PTH120
+        program = (
+            shlex.quote(self._program) if self.machine.local else _path(self.machine.play_launch)
+        )
+        words = ["--machine", self.machine.name, self.source, *self._arguments]
+        lines.append(f"exec {program} {command} {shlex.join(words)}")
+        return "\n".join(lines) + "\n"
+
+    def start_command(self) -> str:
+        script, output = (shlex.quote(f"{self.folder}/{name}") for name in ("start.sh", "output"))
+        bash = f"bash --norc --noprofile {script}"
+        if self.machine.local or self.machine.service is Service.NONE:
+            return f"setsid {bash} < /dev/null > {output} 2>&1 & echo $!"
+        user = "--user " if self.machine.service is Service.USER else ""
+        settings = {
+            "Type": "notify",
+            "NotifyAccess": "main",
+            "KillMode": "mixed",
+            "TimeoutStopSec": str(stop_seconds(self._part)),
+            "Delegate": "yes",
+            "Restart": "on-failure",
+            "RestartSec": "1",
+            "SuccessExitStatus": "129 130 143",
+            "RestartPreventExitStatus": "2",
+        }
+        words = " ".join(f"-p {shlex.quote(f'{key}={value}')}" for key, value in settings.items())
+        return (
+            f"systemd-run {user}--quiet --collect --no-block --unit=play-launch-{self.unit} "
+            f"{words} "
+            f'-E HOME="$HOME" {bash}'
+        )
+
+
+def _path(path: str) -> str:
+    """Quote a path of another machine; ~ is the home folder there."""
+    if path.startswith("~/"):
+        return f'"$HOME"/{shlex.quote(path[2:])}'
+    return shlex.quote(path)
+
+
+async def require_fit(host: Host, bundle: Bundle) -> None:
+    """Let a machine check its part; raises HostError with what to do, and LinkLost."""
+    output = await host.run(bundle.script("check --json"))
+    try:
+        found = json.loads(output.stdout)
+    except ValueError:
+        reason = output.stderr or output.stdout or "no output"
+        if output.status == 127:
+            reason += "; install play-launch there, or give its path as play_launch"
+        raise HostError(f"play-launch cannot be run there: {reason}") from None
+    if not found["valid"]:
+        problems = [
+            f"{each['location']['file']}:{each['location']['line']}: {each['message']}"
+            for each in found["problems"]
+        ]
+        raise HostError("the configuration cannot be used there:\n  " + "\n  ".join(problems))
+    machine = bundle.machine
+    if machine.service is Service.USER and not machine.local:
+        await _require_user_service(host, machine.ssh or machine.name)
+
+
+async def _require_user_service(host: Host, name: str) -> None:
+    output = await host.run(
+        "systemctl --user show-environment > /dev/null && "
+        'loginctl show-user "$(id -un)" -p Linger --value'
+    )
+    if output.status:
+        raise HostError(
+            f"it has no systemd manager for this user ({output.stderr or 'no answer'}): "
+            f"give service: none, or service: system"
+        )
+    if output.stdout.strip() != "yes":
+        raise HostError(
+            "systemd would stop the session after this login; run once: "
+            f"ssh {name} loginctl enable-linger (as another user: with sudo and the name)"
+        )
