@@ -11,15 +11,68 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from tests.support.waiting import until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _PROGRAMS = ("ip", "unshare", "nsenter", "ssh-keygen")
 _SSHD = "/usr/sbin/sshd"
+
+
+_BOOT = """\
+set -e
+umount -l /sys/fs/cgroup || true
+mount -t cgroup2 none /sys/fs/cgroup
+mkdir -p /sys/fs/cgroup/$1
+echo $$ > /sys/fs/cgroup/$1/cgroup.procs
+mkdir -p $2
+mount -t tmpfs tmpfs $2
+mkdir $2/upper $2/work $2/root
+mount -t overlay overlay -o lowerdir=/,upperdir=$2/upper,workdir=$2/work $2/root
+root=$2/root
+cat > $root/lib/systemd/system/host.target <<UNIT
+[Unit]
+Requires=basic.target dbus.socket systemd-logind.service systemd-user-sessions.service
+Wants=ssh.service
+After=basic.target
+UNIT
+rm -f $root/etc/ssh/sshd_not_to_be_run
+systemd-id128 new > $root/etc/machine-id
+[ -e $2.key ] || ssh-keygen -q -t ed25519 -N "" -C "" -f $2.key
+cp $2.key $root/etc/ssh/host_key
+mkdir -p $root/root/.ssh
+cp $3 $root/root/.ssh/authorized_keys
+chmod 755 $root/root
+chroot $root useradd -m -s /bin/bash robot
+mkdir $root/home/robot/.ssh
+cp $3 $root/home/robot/.ssh/authorized_keys
+chroot $root chown -R robot:robot /home/robot
+mkdir -p $root/var/lib/systemd/linger
+[ ! -e $2.linger ] || touch $root/var/lib/systemd/linger/robot
+printf '%s\\n' 'HostKey /etc/ssh/host_key' 'UsePAM yes' 'PermitRootLogin yes' 'StrictModes no' \
+  'Subsystem sftp internal-sftp' > $root/etc/ssh/sshd_config
+cp $2.key.pub $2.pub
+export SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1
+exec systemd-nspawn -q -D $root --register=no --keep-unit -M $1 --hostname=$1 \
+  --network-namespace-path=/run/netns/$1 --bind-ro=$4 --bind-ro=$5 --console=pipe \
+  /lib/systemd/systemd systemd.unit=host.target
+"""
+"""Arguments: name, folder, public key, prefix and base prefix of Python."""
+
+
+def missing_systemd() -> str:
+    """Say what hosts with a systemd need and is not here."""
+    if problem := missing():
+        return problem
+    absent = [] if shutil.which("systemd-nspawn") else ["systemd-nspawn"]
+    absent += [each for each in (_SSHD, "/lib/systemd/systemd") if not Path(each).exists()]
+    return (
+        f"needs {', '.join(absent)} (packages systemd-container, openssh-server)" if absent else ""
+    )
 
 
 def missing() -> str:
@@ -41,6 +94,7 @@ class Hosts:
         self.count = count
         self._id = f"pl{os.getpid()}"
         self._sshds: dict[int, subprocess.Popen[bytes]] = {}
+        self._booted: dict[int, subprocess.Popen[bytes]] = {}
         self.home = folder / "home1"
 
     def namespace(self, number: int) -> str:
@@ -71,21 +125,25 @@ class Hosts:
         _run("ip", "-n", self._switch, "link", "set", "bridge0", "up")
         known, config = [], []
         for number in range(1, self.count + 1):
-            name, link = self.namespace(number), f"v{number}"
-            _run("ip", "netns", "add", name)
-            _run("ip", "-n", name, "link", "set", "lo", "up")
-            _run(
-                *("ip", "-n", self._switch, "link", "add", link, "type", "veth"),
-                *("peer", "name", "eth0", "netns", name),
-            )
-            _run("ip", "-n", self._switch, "link", "set", link, "master", "bridge0", "up")
-            _run("ip", "-n", name, "addr", "add", f"10.77.0.{number}/24", "dev", "eth0")
-            _run("ip", "-n", name, "link", "set", "eth0", "up")
-            _run("ip", "-n", name, "route", "add", "default", "dev", "eth0")
+            self._network(number)
             known.append(f"10.77.0.{number} {self._sshd(number)}")
             config.append(f"Host h{number}\n  HostName 10.77.0.{number}\n  User root\n")
         (self.home / ".ssh/known_hosts").write_text("\n".join(known) + "\n")
         (self.home / ".ssh/config").write_text("".join(config))
+
+    def _network(self, number: int) -> None:
+        """Make the network namespace of a host, and connect it to the switch."""
+        name, link = self.namespace(number), f"v{number}"
+        _run("ip", "netns", "add", name)
+        _run("ip", "-n", name, "link", "set", "lo", "up")
+        _run(
+            *("ip", "-n", self._switch, "link", "add", link, "type", "veth"),
+            *("peer", "name", "eth0", "netns", name),
+        )
+        _run("ip", "-n", self._switch, "link", "set", link, "master", "bridge0", "up")
+        _run("ip", "-n", name, "addr", "add", f"10.77.0.{number}/24", "dev", "eth0")
+        _run("ip", "-n", name, "link", "set", "eth0", "up")
+        _run("ip", "-n", name, "route", "add", "default", "dev", "eth0")
 
     def _sshd(self, number: int) -> str:
         """Start the ssh server of a host, and return its public key."""
@@ -127,6 +185,55 @@ class Hosts:
             )
         return key.with_suffix(".pub").read_text().strip()
 
+    def boot(self, number: int) -> None:
+        """Boot a host with a systemd of its own, over this machine's files; root and robot log in.
+
+        It is reached as s<number>. A second call is a reboot.
+        """
+        name, folder = self.namespace(number), self.folder / f"root{number}"
+        if number in self._booted:
+            self._kill(number)
+            self._booted.pop(number).wait()
+        else:
+            self._network(number)
+        with (self.folder / f"boot{number}.log").open("ab") as log:
+            self._booted[number] = subprocess.Popen(
+                [
+                    *("unshare", "-m", "bash", "-c", _BOOT, "bash", name, str(folder)),
+                    *(f"{self.home}/.ssh/id_ed25519.pub", sys.prefix, sys.base_prefix),
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+            )
+        address = f"10.77.0.{number}"
+        aliases, known = self.home / ".ssh/config", self.home / ".ssh/known_hosts"
+        if f"Host s{number}\n" not in aliases.read_text():
+            aliases.write_text(f"{aliases.read_text()}Host s{number}\n  HostName {address}\n")
+            key = folder.with_suffix(".pub")
+            until(key.exists, "its host key")
+            known.write_text(f"{known.read_text()}{address} {key.read_text()}")
+        until(lambda: self.ssh(f"root@s{number}", "true", code=None) is not None, "its sshd")
+
+    def ssh(self, host: str, command: str, code: int | None = 0) -> str | None:
+        """Run a command on a host; with ``code`` None, return None where that fails."""
+        done = subprocess.run(
+            self.command(
+                *("ssh", "-F", f"{self.home}/.ssh/config", "-o", "BatchMode=yes"),
+                *("-i", f"{self.home}/.ssh/id_ed25519", "-o", "ConnectTimeout=1"),
+                *("-o", f"UserKnownHostsFile={self.home}/.ssh/known_hosts", host, command),
+            ),
+            env=self.environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert code in {None, done.returncode}, f"{command}: {done.stdout}{done.stderr}"
+        return done.stdout if done.returncode == 0 else None
+
     def cut(self, number: int) -> None:
         """Take the cable of a host away."""
         _run("ip", "-n", self._switch, "link", "set", f"v{number}", "down")
@@ -166,19 +273,25 @@ class Hosts:
         )
         return [int(each) for each in done.stdout.split()]
 
+    def _kill(self, number: int) -> None:
+        def nothing_left() -> bool:
+            pids = self.pids(number)
+            for pid in pids:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+            return not pids
+
+        until(nothing_left, f"the end of host {number}")
+
     def down(self) -> None:
-        for number in range(1, self.count + 1):
-            for _ in range(50):
-                pids = self.pids(number)
-                for pid in pids:
-                    with contextlib.suppress(ProcessLookupError):
-                        os.kill(pid, signal.SIGKILL)
-                if not pids:
-                    break
-                time.sleep(0.05)
-        for process in self._sshds.values():
+        numbers = [*range(1, self.count + 1), *self._booted]
+        for number in numbers:
+            self._kill(number)
+        for process in (*self._sshds.values(), *self._booted.values()):
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGTERM)
             process.wait()
-        for name in (*map(self.namespace, range(1, self.count + 1)), self._switch):
+        for name in (*map(self.namespace, numbers), self._switch):
             subprocess.run(["ip", "netns", "del", name], check=False)
 
 

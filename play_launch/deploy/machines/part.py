@@ -427,6 +427,7 @@ class Part:
             await self._attach(link)
         elif self._about.boot != boot or not self.hello:
             _log.warning("%s: it was booted anew; its part is started", self.name)
+            await self._bring(self.config)
             await self._attach(await self._start())
         else:
             self._put(PartState.ENDED, "its session has ended while it was unreachable")

@@ -107,8 +107,8 @@ class Requests:
         return [row for name in self._parts for row in found.get(name, ())]
 
     async def _wait_for_machines(self, limit: float) -> None:
-        """Wait until no machine is on its way any more."""
-        begun = {PartState.CONNECTING, PartState.STARTING}
+        """Wait until no machine is on its way any more, or back."""
+        begun = {PartState.CONNECTING, PartState.STARTING, PartState.UNREACHABLE}
         with anyio.move_on_after(limit):
             for part in self._parts.values():
                 while part.state in begun:

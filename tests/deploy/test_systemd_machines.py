@@ -1,0 +1,85 @@
+"""Machines whose systemd keeps the session: a real one, booted over this machine's files."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.deploy.test_machines import PROGRAM, running
+from tests.support.hosts import hosts, missing_systemd
+from tests.support.waiting import until
+
+pytestmark = pytest.mark.skipif(bool(missing_systemd()), reason=f"systemd: {missing_systemd()}")
+
+
+def test_systemd_keeps_the_sessions_of_machines(tmp_path: Path) -> None:
+    """One test, as two hosts are booted for it: linger, notify, restart, adoption, reboot."""
+    config = tmp_path / "units.yaml"
+    config.write_text(
+        f"""\
+version: 1
+name: units
+environment: {{ROS_AUTOMATIC_DISCOVERY_RANGE: SUBNET}}
+machines:
+  main: {{local: true}}
+  user: {{ssh: robot@s21, play_launch: {PROGRAM}, lost_after: 1 s}}
+  system: {{ssh: root@s22, service: system, play_launch: {PROGRAM}, lost_after: 1 s}}
+containers:
+  - name: talk
+    machine: user
+    container_type: isolated
+    composable_nodes:
+      - {{package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}}
+  - name: listen
+    machine: system
+    depends_on: [talk]
+    composable_nodes:
+      - {{package: play_launch_demo, plugin: "play_launch_demo::Listener", name: listener}}
+"""
+    )
+    with hosts(tmp_path / "hosts", 1) as net:
+        net.boot(21)
+        net.boot(22)
+        refused = subprocess.run(
+            net.play_launch("replay", str(config)),
+            env=net.environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert refused.returncode == 1
+        assert "machine user: " in refused.stderr
+        assert "loginctl enable-linger" in refused.stderr
+        net.ssh("root@s21", "loginctl enable-linger robot")
+        (tmp_path / "hosts/root21.linger").touch()
+
+        show = "systemctl --user show -p {} --value play-launch-units-user"
+        with running(net, config) as first:
+            first.loaded()
+            # Type=notify: active means that all is loaded.
+            assert (net.ssh("robot@s21", show.format("ActiveState")) or "").strip() == "active"
+            status = net.ssh("root@s22", "systemctl status play-launch-units-system")
+            assert "1 of 1 nodes loaded" in (status or "")
+            net.ssh("robot@s21", f"kill -9 $({show.format('MainPID')})")
+            until(lambda: "started anew" in first.printed(), "the restart by systemd")
+            first.loaded()
+            assert (net.ssh("robot@s21", show.format("NRestarts")) or "").strip() == "1"
+            before = first.rows()
+            first.process.send_signal(signal.SIGKILL)
+            first.process.wait()
+        with running(net, config) as second:
+            rows = second.loaded().rows()
+            assert {name: row["pid"] for name, row in rows.items()} == {
+                name: row["pid"] for name, row in before.items()
+            }
+            net.boot(21)
+            until(lambda: "was booted anew" in second.printed(), "the return after the reboot")
+            second.loaded()
+            assert second.rows()["/talker"]["state"] == "loaded"
+            second.stop()
+        for host, manager in (("robot@s21", "systemctl --user"), ("root@s22", "systemctl")):
+            assert not net.ssh(host, f"{manager} list-units --no-legend 'play-launch*'")
