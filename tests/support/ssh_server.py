@@ -14,12 +14,24 @@ import asyncssh
 
 
 class _Server(asyncssh.SSHServer):
+    authorized = ""
+
+    def connection_made(self, conn: asyncssh.SSHServerConnection) -> None:
+        self._connection = conn
+
+    def begin_auth(self, username: str) -> bool:
+        if username == "root":
+            self._connection.set_authorized_keys(self.authorized)
+        return True
+
     def unix_connection_requested(self, dest_path: str) -> bool:
         del dest_path
         return True
 
 
 async def _main(host_key: str, authorized: str, home: str) -> None:
+    _Server.authorized = authorized
+
     async def carry_out(process: Any) -> None:
         peer = process.get_extra_info("peername")[0]
         child = await asyncio.create_subprocess_shell(
@@ -39,7 +51,6 @@ async def _main(host_key: str, authorized: str, home: str) -> None:
         22,
         server_factory=_Server,
         server_host_keys=[host_key],
-        authorized_client_keys=authorized,
         process_factory=carry_out,
         sftp_factory=True,
         encoding=None,
