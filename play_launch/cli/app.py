@@ -99,6 +99,7 @@ _ALL: Final = (
     Verb("crashes", _ANALYSE, "Group the crashes of many sessions."),
     Verb("compare", _ANALYSE, "Compare two sessions."),
     Verb("rerun", _ANALYSE, "Repeat and compare the supervisor's decisions."),
+    Verb("collect", _ANALYSE, "Fetch and merge the recordings of all machines."),
     Verb("recover", _ANALYSE, "Repair a damaged or unfinished recording."),
     Verb("export", _ANALYSE, "Convert a recording to Perfetto, CSV or Parquet."),
     Verb("layout", _ANALYSE, "Print a layout for Foxglove or PlotJuggler."),

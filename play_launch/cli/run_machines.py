@@ -9,10 +9,12 @@ import logging
 import os
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch import ExitCode
 from play_launch.cli.check import describe
+from play_launch.cli.collect import MACHINES
 from play_launch.cli.events import text_of
 from play_launch.cli.output import report, surviving_the_loss_of_stdout, warn
 from play_launch.cli.systemd_unit import program
@@ -25,12 +27,11 @@ from play_launch.deploy.machines.coordinator import Coordinator
 from play_launch.deploy.machines.hosts import HostError
 from play_launch.recording.facts import OURSELVES, package_version
 from play_launch.recording.log_handler import log_published
-from play_launch.recording.session import open_session
+from play_launch.recording.session import announce, open_session
 from play_launch.runtime.signals import RunSignals, StopRequests
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from play_launch.config.model import ReplayConfig
     from play_launch.recording.session import Session, SessionDescription
@@ -121,6 +122,12 @@ async def _until_the_end(
         started_ns=time.time_ns(),
         source=str(config.source.absolute()),
     )
+    machines = Path(control.folder) / MACHINES
+
+    def note_recordings() -> None:
+        machines.write_text(json.dumps(coordinator.recordings(), indent=1))
+
+    coordinator.on_change = note_recordings
     with log_published(publish_log), signals.delivered_to(stop.request):
         problem: HostError | None = None
         code: int = ExitCode.OK
@@ -131,5 +138,7 @@ async def _until_the_end(
                 problem = error  # not within the group of tasks, which would wrap it
         if problem is not None:
             raise problem
+        note_recordings()
+        announce(session.folder)  # that of the local part was announced since
         await asyncio.sleep(0)  # the last records of the log
     return code if stop.signum is None or code else ExitCode.SIGNAL_BASE + stop.signum

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import McapReader, make_reader
 
 from tests.support.hosts import Hosts, hosts, missing
 from tests.support.waiting import until
@@ -133,6 +134,12 @@ def running(net: Hosts, config: Path) -> Iterator[Running]:
                 started.process.wait()
 
 
+@contextlib.contextmanager
+def make_reader_of(path: Path) -> Iterator[McapReader]:
+    with path.open("rb") as file:
+        yield make_reader(file)
+
+
 def supervisors(net: Hosts, number: int) -> list[int]:
     found = []
     for pid in net.pids(number):
@@ -179,6 +186,41 @@ def test_one_view_and_one_end_of_three_machines(net: Hosts, tmp_path: Path) -> N
         assert events.index(("h3", "stopping")) < events.index(("h2", "stopping"))
     assert not supervisors(net, 2)
     assert not supervisors(net, 3)
+
+
+def test_the_recordings_of_all_machines_become_one(net: Hosts, tmp_path: Path) -> None:
+    with running(net, system(tmp_path, "whole")) as whole:
+        whole.loaded()
+        os.kill(whole.rows()["/talker"]["pid"], signal.SIGSEGV)
+        until(lambda: whole.rows()["/talker"]["crashes"] == 1, "the crash")
+        until(lambda: whole.rows()["/talker"]["state"] == "loaded", "the reload")
+        whole.stop()
+    folder = net.home / ".ros/play_launch/latest"
+    assert folder.resolve().name.endswith("-whole")
+    done = subprocess.run(
+        net.play_launch("collect"),
+        env=net.environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    explained = subprocess.run(
+        [PROGRAM, "explain", folder / "all-machines.mcap"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert "/talker" in explained.stdout
+    assert "SIGSEGV" in explained.stdout
+    with make_reader_of(folder / "all-machines.mcap") as reader:
+        times = [message.log_time for _, _, message in reader.iter_messages(log_time_order=False)]
+        assert times == sorted(times)
+        data = [message.data for _, _, message in reader.iter_messages()]
+        assert any(b"tick 2" in each for each in data)
+        assert any(b"Hello World" in each for each in data)
 
 
 def test_a_cut_loses_no_line_and_stops_nothing(net: Hosts, tmp_path: Path) -> None:

@@ -57,6 +57,8 @@ class Coordinator:
             for name in used_machines(config)
         }
         self.requests = Requests(self.parts)
+        self.on_change: Callable[[], None] = lambda: None
+        """Called when the state of a machine has changed."""
 
     async def run(self, stop: asyncio.Event, *, detach: bool = False) -> int:
         """Bring all machines up, accompany them until ``stop`` or their end; return the exit code.
@@ -90,6 +92,20 @@ class Coordinator:
         event = {**event, "machine": machine}
         self.requests.take(event)
         self._show(machine, event)
+
+    def recordings(self) -> dict[str, dict[str, Any]]:
+        """Say where each part is recorded, and by how much its clock is ahead."""
+        return {
+            part.name: {
+                "local": part.machine.local,
+                "ssh": part.machine.ssh,
+                "folder": part.hello["folder"],
+                "session": part.hello["session"],
+                "offset_ns": part.offset_ns,
+            }
+            for part in self.parts.values()
+            if part.hello
+        }
 
     async def _all_loaded(self) -> None:
         """Wait until all units of all machines are up, or failed for good."""
@@ -163,6 +179,7 @@ class Coordinator:
         while True:
             for part in self.parts.values():
                 part.changed.clear()
+            self.on_change()
             ends_all = next((each.name for each in self.parts.values() if each.ends_all), None)
             ended = {name for name, part in self.parts.items() if part.state in over}
             if ends_all in ended:

@@ -1,0 +1,80 @@
+"""``play-launch collect``: the recordings of all machines, as one."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from play_launch import ExitCode
+from play_launch.cli import options
+from play_launch.cli.output import fail, say, size, warn, whole_file
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+MACHINES = "machines.json"
+"""In the folder of a coordinator's session: where the parts are recorded."""
+COLLECTED = "all-machines.mcap"
+
+
+def collect(
+    session: options.Recording,
+    output: Annotated[
+        Path | None,
+        options.output(f"The file to write. Default: {COLLECTED} in the folder of the session."),
+    ] = None,
+) -> int:
+    """Fetch the recordings of all machines of a session, and merge them on one clock.
+
+    The session is that of the machine where `replay` ran. The recordings of the others come into
+    its folder, and are read by all commands, too. Exits with 1 if a machine is missing.
+    """
+    folder = session if session.is_dir() else session.parent
+    try:
+        machines = json.loads((folder / MACHINES).read_text())
+    except (OSError, ValueError):
+        fail(f"{folder} is no session of several machines: there is no {MACHINES}")
+    missing = asyncio.run(_fetch(machines, folder))
+    from play_launch.postmortem.merge import Source, merge  # noqa: PLC0415 - slow
+    from play_launch.recording.folder import BAG_NAME, parts_of  # noqa: PLC0415
+
+    sources = [Source("", [each.path for each in parts_of(folder)], 0)]
+    for name, about in machines.items():
+        files = [each.path for each in parts_of(folder / name)]
+        if files:
+            sources.append(Source(name, files, about["offset_ns"] or 0))
+        elif name not in missing:
+            warn(f"{name}: its recording is not finished, and is left out")
+            missing.append(name)
+    target = output or folder / COLLECTED
+    with whole_file(target) as half:
+        count = merge(folder / BAG_NAME, sources, half)
+    say(f"{target}: {count:,} messages, {size(target.stat().st_size)}", beside=target)
+    return ExitCode.NODE_FAILED if missing else ExitCode.OK
+
+
+async def _fetch(machines: Mapping[str, Any], folder: Path) -> list[str]:
+    """Fetch the folders of all machines at once; return the names of those that are missing."""
+    from play_launch.config.machines import MachineConfig  # noqa: PLC0415
+    from play_launch.deploy.machines.hosts import HostError, LinkLost, connect  # noqa: PLC0415
+
+    missing: list[str] = []
+
+    async def fetch(name: str, about: Mapping[str, Any]) -> None:
+        machine = MachineConfig(name=name, local=about["local"], ssh=about["ssh"])
+        try:
+            host = await connect(machine)
+            try:
+                await host.get(about["folder"], folder / name)
+            finally:
+                host.close()
+        except (HostError, LinkLost, OSError) as error:
+            warn(f"{name}: its recording cannot be fetched: {error}")
+            missing.append(name)
+
+    async with asyncio.TaskGroup() as tasks:
+        for name, about in machines.items():
+            tasks.create_task(fetch(name, about))
+    return missing

@@ -1,0 +1,109 @@
+"""Recordings of several machines as one, on one clock."""
+
+from __future__ import annotations
+
+import heapq
+from contextlib import ExitStack
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from play_launch import UserError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+MACHINES: Final = "play_launch.machines"
+"""Name of the metadata with the offset of each machine's clock, in nanoseconds."""
+
+
+class MergeError(UserError):
+    """A recording cannot be read; the text has its path and the fix."""
+
+    exit_code = 1
+
+
+class Source(NamedTuple):
+    """A recording of one machine."""
+
+    machine: str
+    files: Sequence[Path]
+    offset_ns: int
+    """Its clock minus the clock of the result."""
+
+
+def merge(head: Path, sources: Sequence[Source], output: Path) -> int:
+    """Write the messages of all to a file, with the head of one, and return their number.
+
+    The first of ``sources`` is usually that of ``head``. Log times and publish times are corrected
+    by the offsets; stamps within messages are not. Raises MergeError.
+    """
+    with ExitStack() as stack:
+        file = stack.enter_context(output.open("wb"))
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library="play-launch")
+        _copy_head(stack, head, writer)
+        offsets = {each.machine: str(each.offset_ns) for each in sources}
+        writer.add_metadata(MACHINES, offsets)
+        streams = [
+            _messages(stack, number, path, source.offset_ns)
+            for number, (source, path) in enumerate(
+                (source, path) for source in sources for path in source.files
+            )
+        ]
+        schemas: dict[tuple[str, bytes], int] = {}
+        channels: dict[Any, int] = {}
+        count = 0
+        for log_time, number, schema, channel, message, offset in heapq.merge(
+            *streams, key=itemgetter(0, 1)
+        ):
+            key = (number, channel.id)
+            if key not in channels:
+                kind = (schema.name, schema.data)
+                if kind not in schemas:
+                    schemas[kind] = writer.register_schema(
+                        schema.name, schema.encoding, schema.data
+                    )
+                channels[key] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[kind], channel.metadata
+                )
+            writer.add_message(
+                channels[key],
+                log_time,
+                message.data,
+                max(message.publish_time - offset, 0),
+                message.sequence,
+            )
+            count += 1
+        writer.finish()  # type: ignore[no-untyped-call]
+    return count
+
+
+def _messages(stack: ExitStack, number: int, path: Path, offset: int) -> Iterator[tuple[Any, ...]]:
+    try:
+        reader = make_reader(stack.enter_context(path.open("rb")))
+        for schema, channel, message in reader.iter_messages():
+            yield max(message.log_time - offset, 0), number, schema, channel, message, offset
+    except (OSError, McapError) as error:
+        raise MergeError(f"{path}: {error}; `play-launch recover {path}` first") from None
+
+
+def _copy_head(stack: ExitStack, path: Path, writer: Writer) -> None:
+    try:
+        reader = make_reader(stack.enter_context(path.open("rb")))
+        for attachment in reader.iter_attachments():
+            writer.add_attachment(
+                attachment.create_time,
+                attachment.log_time,
+                attachment.name,
+                attachment.media_type,
+                attachment.data,
+            )
+        for metadata in reader.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata)
+    except (OSError, McapError) as error:
+        raise MergeError(f"{path}: {error}; `play-launch recover {path}` first") from None

@@ -1,0 +1,55 @@
+"""Recordings of several machines as one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from play_launch.postmortem.merge import MACHINES, MergeError, Source, merge
+
+
+def recording(path: Path, topic: str, times: list[int]) -> Path:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel(topic, "cdr", schema, {"key": topic})
+        writer.add_attachment(1, 1, f"config{topic.replace('/', '.')}", "text/plain", b"x")
+        for number, time in enumerate(times):
+            writer.add_message(channel, time, topic.encode(), time, number)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def test_messages_come_in_the_order_of_one_clock(tmp_path: Path) -> None:
+    here = recording(tmp_path / "here.mcap", "/a", [100, 300])
+    there = recording(tmp_path / "there.mcap", "/b", [1150, 1350])
+    sources = [Source("", [here], 0), Source("vision", [there], 1000)]
+    assert merge(here, sources, tmp_path / "out.mcap") == 4
+    with (tmp_path / "out.mcap").open("rb") as file:
+        reader = make_reader(file)
+        found = [(c.topic, m.log_time, m.publish_time) for _, c, m in reader.iter_messages()]
+        assert found == [
+            ("/a", 100, 100),
+            ("/b", 150, 150),
+            ("/a", 300, 300),
+            ("/b", 350, 350),
+        ]
+        (metadata,) = reader.iter_metadata()
+        assert (metadata.name, metadata.metadata["vision"]) == (MACHINES, "1000")
+        assert [each.name for each in reader.iter_attachments()] == ["config.a"]
+        # One schema, whatever the number of files.
+        summary = reader.get_summary()
+        assert summary is not None
+        assert len(summary.schemas) == 1
+
+
+def test_what_cannot_be_read_is_named_with_the_fix(tmp_path: Path) -> None:
+    here = recording(tmp_path / "here.mcap", "/a", [100])
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(here.read_bytes()[:60])
+    with pytest.raises(MergeError, match=r"broken.mcap: .*; `play-launch recover"):
+        merge(here, [Source("", [broken], 0)], tmp_path / "out.mcap")
