@@ -20,7 +20,7 @@ def recording(path: Path, topic: str, times: list[int]) -> Path:
         writer.add_attachment(1, 1, f"config{topic.replace('/', '.')}", "text/plain", b"x")
         for number, time in enumerate(times):
             writer.add_message(channel, time, topic.encode(), time, number)
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     return path
 
 
