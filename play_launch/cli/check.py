@@ -15,6 +15,7 @@ from play_launch.cli import options
 from play_launch.cli.output import counted, fail, report, say, warn
 from play_launch.config.dependency import OnTimeout, StartRule
 from play_launch.config.machines import discovery_problems, part_of
+from play_launch.control.protocol import PROTOCOL
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -72,7 +73,7 @@ def check(  # noqa: PLR0917 - options, by name
         explained = {"processes": started, "helpers": helpers(loaded)}
     if as_json:
         values: dict[str, Any] = {"valid": True, "problems": [], "config": _resolved(loaded)}
-        values |= explained
+        values |= {"protocol": PROTOCOL, **explained}
         if graph:
             values["graph"] = _graph_values(loaded)
         if loaded.machines:

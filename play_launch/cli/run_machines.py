@@ -133,7 +133,7 @@ async def _until_the_end(
         code: int = ExitCode.OK
         async with serving(control, hello, coordinator.requests):
             try:
-                code = await coordinator.run(stop.requested, detach=detach)
+                code = await coordinator.run(stop.requested, stop.hurry, detach=detach)
             except HostError as error:
                 problem = error  # not within the group of tasks, which would wrap it
         if problem is not None:

@@ -243,6 +243,26 @@ def test_a_cut_loses_no_line_and_stops_nothing(net: Hosts, tmp_path: Path) -> No
         cut.stop()
 
 
+def test_a_stop_amid_the_start_leaves_nothing(net: Hosts, tmp_path: Path) -> None:
+    for word in ("h2", "h3"):
+        with running(net, system(tmp_path, f"early_{word}")) as early:
+            until(lambda: f'"machine":"{word}"' in early.printed(), "the first event")  # noqa: B023
+            early.process.send_signal(signal.SIGINT)
+            assert early.process.wait(40) in {1, 3, 130}, early.printed()
+        assert not supervisors(net, 2)
+        assert not supervisors(net, 3)
+
+
+def test_peers_find_each_other_without_multicast(net: Hosts, tmp_path: Path) -> None:
+    config = system(tmp_path, "peers")
+    text = config.read_text().replace("RANGE: SUBNET", "RANGE: LOCALHOST")
+    config.write_text(f"{text}discovery: {{by: peers}}\n")
+    with running(net, config) as peers:
+        peers.loaded()
+        until(lambda: "I heard" in peers.ask("logs", "listener"), "a message from the other host")
+        peers.stop()
+
+
 def test_a_coordinator_that_was_killed_is_followed_by_one_that_adopts(
     net: Hosts, tmp_path: Path
 ) -> None:
@@ -293,6 +313,11 @@ def test_without_its_coordinator_a_machine_with_stop_after_stops_itself(
     ("changes", "expected"),
     [
         ({"h3: {": "h3: {ssh: 10.77.0.99, connect_timeout: 1 s, "}, "it does not answer"),
+        ({f"h3: {{service: none, play_launch: {PROGRAM}": "h3: {play_launch: OLD"}, "protocol 1"),
+        (
+            {f"h3: {{service: none, play_launch: {PROGRAM}": "h3: {play_launch: /x"},
+            "as play_launch",
+        ),
         ({"h3: {": "h3: {ssh: nowhere.invalid, "}, "is not known"),
         ({"h3: {": "h3: {ssh: stranger@h3, "}, "does not let you in"),
         ({"h3: {": "h3: {ssh: unknown_key, "}, "host key is unknown"),
@@ -310,11 +335,14 @@ def test_what_is_wrong_with_a_machine_is_said_before_anything_starts(
     if "unknown_key" not in aliases.read_text():
         alias = "Host unknown_key\n  HostName 10.77.0.3\n  UserKnownHostsFile /dev/null\n"
         aliases.write_text(aliases.read_text() + alias)
+    old = tmp_path / "old"
+    old.write_text("""#!/bin/sh\necho '{"valid": true, "protocol": 1}'\n""")
+    old.chmod(0o755)
     config = system(tmp_path, "wrong")
     text = config.read_text()
     for before, after in changes.items():
         assert before in text
-        text = text.replace(before, after)
+        text = text.replace(before, after.replace("OLD", str(old)))
     config.write_text(text)
     done = subprocess.run(
         net.play_launch("replay", str(config)),

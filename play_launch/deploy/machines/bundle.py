@@ -9,6 +9,7 @@ import shlex
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.machines import Service
+from play_launch.control.protocol import PROTOCOL
 from play_launch.deploy.machines.hosts import HostError
 from play_launch.deploy.unit import stop_seconds
 
@@ -161,6 +162,11 @@ async def require_fit(host: Host, bundle: Bundle) -> None:
             for each in found["problems"]
         ]
         raise HostError("the configuration cannot be used there:\n  " + "\n  ".join(problems))
+    if found.get("protocol") != PROTOCOL:
+        raise HostError(
+            f"its play-launch uses protocol {found.get('protocol')}, and this one {PROTOCOL}; "
+            "install the same version"
+        )
     machine = bundle.machine
     if machine.service is Service.USER and not machine.local:
         await _require_user_service(host, machine.ssh or machine.name)

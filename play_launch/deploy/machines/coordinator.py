@@ -60,12 +60,12 @@ class Coordinator:
         self.on_change: Callable[[], None] = lambda: None
         """Called when the state of a machine has changed."""
 
-    async def run(self, stop: asyncio.Event, *, detach: bool = False) -> int:
+    async def run(self, stop: asyncio.Event, hurry: asyncio.Event, *, detach: bool = False) -> int:
         """Bring all machines up, accompany them until ``stop`` or their end; return the exit code.
 
-        With ``detach`` it returns once all are up, and they run on; the next coordinator adopts
-        them. Raises HostError when a machine that is not optional cannot be used; nothing was
-        started then.
+        With ``hurry`` it waits for no machine that is being stopped. With ``detach`` it returns
+        once all are up, and they run on; the next coordinator adopts them. Raises HostError when a
+        machine that is not optional cannot be used; nothing was started then.
         """
         await self._prepare()
         async with anyio.create_task_group() as tasks:
@@ -78,7 +78,9 @@ class Coordinator:
                 await _first_done(stop.wait(), self._ended.wait())
             code = self._exit_code()
             if not detach or stop.is_set():
-                await self._stop()
+                await _first_done(self._stop(), hurry.wait())
+                for part in self.parts.values():
+                    await part.request_end()
             tasks.cancel_scope.cancel()
         for part in self.parts.values():
             part.close()
@@ -171,6 +173,10 @@ class Coordinator:
             await part.run()
         except HostError as error:
             _log.error("%s: %s", part.name, error)
+            self._failures[part.name] = str(error)
+            part.fail(str(error))
+        except Exception as error:  # noqa: BLE001 - the other machines continue
+            _log.exception("%s cannot be accompanied any more", part.name)
             self._failures[part.name] = str(error)
             part.fail(str(error))
 

@@ -118,8 +118,11 @@ class Part:
         """Connect to its session once more; raises LinkLost and OperationError."""
         if self.state is not PartState.RUNNING:
             raise LinkLost(self.reason or str(self.state))
+        return await self._connected_to(self._link)
+
+    async def _connected_to(self, link: str) -> Channel:
         try:
-            return await Channel.open(self.host, self._link)
+            return await Channel.open(self.host, link)
         except ConnectionRefusedError as error:
             raise SessionGone(f"its session does not answer: {error}") from None
 
@@ -169,14 +172,20 @@ class Part:
             await self.host.run(_UNTIL_GONE.format(pid=int(self.hello["pid"])))
 
     async def stop(self, limit: float) -> None:
-        """End its session in order, and wait for that."""
-        if self.state is PartState.RUNNING:
-            with contextlib.suppress(LinkLost, OperationError):
-                await self.ask("end")
+        """End its session in order, and wait for that; one that is being started comes up first."""
         with anyio.move_on_after(limit):
-            while self.state is PartState.RUNNING:
-                self.changed.clear()
-                await self.changed.wait()
+            await self._until_not({PartState.CONNECTING, PartState.STARTING})
+            await self.request_end()
+            await self._until_not({PartState.RUNNING})
+
+    async def request_end(self) -> None:
+        with contextlib.suppress(LinkLost, OperationError):
+            await self.ask("end")
+
+    async def _until_not(self, states: set[PartState]) -> None:
+        while self.state in states:
+            self.changed.clear()
+            await self.changed.wait()
 
     def fail(self, reason: str) -> None:
         self._put(PartState.FAILED, reason)
@@ -231,9 +240,11 @@ class Part:
     async def _apply(self, link: str) -> None:
         """Adopt a session, and bring it to this configuration."""
         _log.info("%s: its session runs already and is adopted", self.name)
-        channel = await Channel.open(self.host, link)
+        channel = await self._connected_to(link)
         try:
             await channel.ask("apply", {"path": self.bundle.source, "arguments": self._arguments})
+        except EOFError:
+            raise SessionGone("its session has just ended") from None
         except OperationError as error:
             raise HostError(
                 f"another configuration runs there, and cannot be changed to this one: {error}"
@@ -281,7 +292,7 @@ class Part:
     # A session that runs.
 
     async def _attach(self, link: str) -> None:
-        channel = await Channel.open(self.host, link)
+        channel = await self._connected_to(link)
         channel.close()
         if channel.hello["session"] != self.hello.get("session"):
             if self.hello:
