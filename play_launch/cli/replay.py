@@ -113,6 +113,9 @@ def bring_up(
 
         loaded = part(loaded, machine)
     elif loaded.machines:
+        if is_recording(config):
+            names = ", ".join(loaded.machines)
+            fail(f"{config} is of several machines; start one part by --machine: {names}")
         if watch:
             fail("--watch: with machines, change the running system by play-launch apply")
         from play_launch.cli.run import description_of  # noqa: PLC0415

@@ -253,6 +253,20 @@ def test_a_stop_amid_the_start_leaves_nothing(net: Hosts, tmp_path: Path) -> Non
         assert not supervisors(net, 3)
 
 
+def test_all_machines_end_after_the_duration(net: Hosts, tmp_path: Path) -> None:
+    done = subprocess.run(
+        net.play_launch("replay", str(system(tmp_path, "short")), "--duration", "2s"),
+        env=net.environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "[h3 /ticks] tick 1" in done.stdout
+    assert not supervisors(net, 2)
+
+
 def test_peers_find_each_other_without_multicast(net: Hosts, tmp_path: Path) -> None:
     config = system(tmp_path, "peers")
     text = config.read_text().replace("RANGE: SUBNET", "RANGE: LOCALHOST")

@@ -86,7 +86,9 @@ class Bundle:
 
     def to_copy(self) -> dict[str, bytes]:
         """Return the files by their paths there."""
-        files = {f"{self.folder}/start.sh": self.script("replay --quiet").encode()}
+        duration = self._part.duration  # of the command line, perhaps
+        limit = "" if duration is None else f" --duration {duration}"
+        files = {f"{self.folder}/start.sh": self.script(f"replay --quiet{limit}").encode()}
         if not self.machine.local:
             files |= {f"{self.folder}/files{path}": text for path, text in self._files.items()}
         return files
