@@ -56,6 +56,7 @@ def _fields(unit: dict[str, Any], now_ns: int) -> Iterator[tuple[str, str]]:
         since = clock(since_ns, "%Y-%m-%d %H:%M:%S")
         state += f" since {since} ({duration(now_ns - since_ns)} ago)"
     yield "State", f"{state}: {unit['reason']}" if unit["reason"] else state
+    yield "Machine", unit.get("machine", "")
     if managed := unit.get("managed"):
         reason = f": {managed['reason']}" if managed["reason"] else ""
         yield "Lifecycle", f"{managed['state']}{reason}"

@@ -232,6 +232,8 @@ def test_a_cut_loses_no_line_and_stops_nothing(net: Hosts, tmp_path: Path) -> No
             until(lambda: cut.rows()["/listener"]["state"] == "unreachable", "the loss")
             assert "was loaded" in cut.rows()["/listener"]["reason"]
             assert "unreachable" in cut.ask("restart", "listen", code=1)
+            assert "unreachable since" in cut.ask("status", "listener", code=3)
+            assert cut.ask("events", "listener")
             assert cut.rows()["/talker"]["state"] == "loaded"
         finally:
             net.mend(3)

@@ -11,7 +11,7 @@ import anyio
 
 from play_launch import ExitCode
 from play_launch.config.machines import DiscoveryBy, part_of, stopped_after, used_machines
-from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, OperationError
+from play_launch.control.protocol import OperationError
 from play_launch.deploy.machines.hosts import HostError, LinkLost
 from play_launch.deploy.machines.part import Part, PartState
 from play_launch.deploy.machines.requests import Requests
@@ -26,11 +26,6 @@ if TYPE_CHECKING:
     """Shows an event of a machine."""
 
 _log = logging.getLogger(__name__)
-_EVENTS: Final = 5000
-"""Events of all machines that are kept for clients."""
-_QUEUE: Final = 5000
-_ACTIONS: Final = frozenset((*MEMBER_ACTIONS, *NODE_ACTIONS, "signal", "wait"))
-_LISTS: Final = frozenset(("ps", "status", "parameters"))
 _BRING_UP: Final = 600.0
 """Seconds until a start that is to be left alone counts as done."""
 _CLOSING: Final = 60.0

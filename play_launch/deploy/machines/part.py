@@ -194,11 +194,10 @@ class Part:
         if self._host is not None:
             self._host.close()
 
-    async def change(self, part: ReplayConfig) -> str:
-        """Bring another configuration there, and return its path."""
+    async def change(self, part: ReplayConfig) -> None:
+        """Bring another configuration there."""
         self.config = part
         await self._bring(part)
-        return self.bundle.source
 
     # Start.
 

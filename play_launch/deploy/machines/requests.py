@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import time
 from collections import deque
 from typing import TYPE_CHECKING, Any, Final
@@ -31,20 +30,21 @@ if TYPE_CHECKING:
     from play_launch.control.messages import Caller, Request
     from play_launch.control.units import Target
 
-    Show = Callable[[str, dict[str, Any]], None]
-    """Shows an event of a machine."""
-
-_log = logging.getLogger(__name__)
 _EVENTS: Final = 5000
 """Events of all machines that are kept for clients."""
 _QUEUE: Final = 5000
 _ACTIONS: Final = frozenset((*MEMBER_ACTIONS, *NODE_ACTIONS, "signal", "wait"))
 _LISTS: Final = frozenset(("ps", "status", "parameters"))
-_BRING_UP: Final = 600.0
-"""Seconds until a start that is to be left alone counts as done."""
-_CLOSING: Final = 60.0
-"""Seconds until all recordings are closed."""
-_FAILED: Final = frozenset(("gave up", "load failed", "crashed", "lost"))
+_UNKNOWN: Final[dict[str, Any]] = {
+    "last_restarts": (),
+    "waits_for": "",
+    "wanted": True,
+    "command": (),
+    "resources": {},
+    "declared": "",
+    "output": (),
+}
+"""What `status` tells besides, of a unit whose machine does not answer."""
 
 
 class Requests:
@@ -99,6 +99,8 @@ class Requests:
                     part.rows = rows
             except LinkLost:
                 rows = [] if operation == "parameters" else _unreachable(part, wanted)
+                if operation == "status":
+                    rows = [{**row, **_UNKNOWN, "since_ns": part.since_ns} for row in rows]
             found[part.name] = [{**part.here(row), "machine": part.name} for row in rows]
 
         async with anyio.create_task_group() as tasks:
