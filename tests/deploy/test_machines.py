@@ -153,6 +153,8 @@ def test_one_view_and_one_end_of_three_machines(net: Hosts, tmp_path: Path) -> N
     config = system(tmp_path, "trio")
     with running(net, config) as trio:
         rows = trio.loaded().rows()
+        (parts,) = (net.folder / "home2").glob(".cache/play-launch")
+        assert parts.stat().st_mode & 0o77 == 0
         assert {name: row["machine"] for name, row in rows.items()} == {
             "/talk": "h2",
             "/talker": "h2",
@@ -246,6 +248,12 @@ def test_a_cut_loses_no_line_and_stops_nothing(net: Hosts, tmp_path: Path) -> No
 
 
 def test_a_stop_amid_the_start_leaves_nothing(net: Hosts, tmp_path: Path) -> None:
+    with running(net, system(tmp_path, "earliest")) as earliest:
+        begun = net.home / ".ros/play_launch"
+        until(lambda: any(begun.glob("*-earliest")), "its recording")
+        earliest.process.send_signal(signal.SIGINT)
+        assert earliest.process.wait(40) in {0, 3, 130}, earliest.printed()
+    assert not supervisors(net, 2)
     for word in ("h2", "h3"):
         with running(net, system(tmp_path, f"early_{word}")) as early:
             until(lambda: f'"machine":"{word}"' in early.printed(), "the first event")  # noqa: B023

@@ -62,7 +62,11 @@ class Coordinator:
         once all are up, and they run on; the next coordinator adopts them. Raises HostError when a
         machine that is not optional cannot be used; nothing was started then.
         """
-        await self._prepare()
+        await _first_done(self._prepare(), stop.wait())
+        if stop.is_set():
+            for part in self.parts.values():
+                part.close()
+            return ExitCode.OK
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._exchange_conditions)
             tasks.start_soon(self._accompany_all)
@@ -231,10 +235,12 @@ class Coordinator:
 
 
 async def _first_done(*works: Awaitable[object]) -> None:
-    """Wait for the first of them, and cancel the others."""
+    """Wait for the first of them, and cancel the others; raises what it raises."""
     tasks = [asyncio.ensure_future(work) for work in works]
     try:
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
     finally:
         for task in tasks:
             task.cancel()

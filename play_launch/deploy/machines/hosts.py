@@ -225,7 +225,8 @@ class SshHost:
             async with self._connection.start_sftp_client() as sftp:
                 for name in await sftp.listdir(folder):
                     source = f"{folder}/{name}"
-                    if await sftp.isfile(source):
+                    # The other machine chooses the names.
+                    if name == Path(name).name and await sftp.isfile(source):
                         await sftp.get(source, target / name)
 
     async def open(self, path: str) -> tuple[Reader, Any]:

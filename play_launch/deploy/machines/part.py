@@ -220,6 +220,8 @@ class Part:
             peers=self.peers,
         )
         self._bundle = await asyncio.to_thread(make)
+        # The variables of the machine are in it.
+        await self.host.run(f"umask 077; mkdir -p {shlex.quote(self._bundle.folder)}")
         await self.host.put(self._bundle.to_copy())
         await self.host.run(self._bundle.clean_up_command())
 
