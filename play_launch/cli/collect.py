@@ -25,6 +25,7 @@ def collect(
         Path | None,
         options.output(f"The file to write. Default: {COLLECTED} in the folder of the session."),
     ] = None,
+    as_json: options.Json = False,
 ) -> int:
     """Fetch the recordings of all machines of a session, and merge them on one clock.
 
@@ -51,6 +52,9 @@ def collect(
     target = output or folder / COLLECTED
     with whole_file(target) as half:
         count = merge(folder / BAG_NAME, sources, half)
+    if as_json:
+        say(json.dumps({"output": str(target), "messages": count, "missing": missing}))
+        return ExitCode.NODE_FAILED if missing else ExitCode.OK
     say(f"{target}: {count:,} messages, {size(target.stat().st_size)}", beside=target)
     return ExitCode.NODE_FAILED if missing else ExitCode.OK
 

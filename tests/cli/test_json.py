@@ -15,7 +15,8 @@ from tests.support.waiting import until
 
 CHANGES_ONLY = {"daemon patch", "daemon run", "daemon start", "daemon stop", "daemon unpatch"}
 WRITES_A_FILE = {
-    *("completion", "export", "init", "layout", "recover", "report", "schema", "systemd-unit")
+    *("completion", "export", "init", "kubernetes", "layout", "recover", "report", "schema"),
+    "systemd-unit",
 }
 """Or prints what is not ours: a script, the layout of another tool, a schema, a unit."""
 SYSTEM = f"""{TALKER_AND_SLEEPER}

@@ -200,7 +200,7 @@ def test_the_recordings_of_all_machines_become_one(net: Hosts, tmp_path: Path) -
     folder = net.home / ".ros/play_launch/latest"
     assert folder.resolve().name.endswith("-whole")
     done = subprocess.run(
-        net.play_launch("collect"),
+        net.play_launch("collect", "--json"),
         env=net.environment,
         capture_output=True,
         text=True,
@@ -208,6 +208,7 @@ def test_the_recordings_of_all_machines_become_one(net: Hosts, tmp_path: Path) -
         check=False,
     )
     assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["missing"] == []
     explained = subprocess.run(
         [PROGRAM, "explain", folder / "all-machines.mcap"],
         capture_output=True,
@@ -274,6 +275,31 @@ def test_all_machines_end_after_the_duration(net: Hosts, tmp_path: Path) -> None
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "[h3 /ticks] tick 1" in done.stdout
+    assert not supervisors(net, 2)
+
+
+def test_a_full_disk_of_a_machine_is_said_before_anything_starts(
+    net: Hosts, tmp_path: Path
+) -> None:
+    (tmp_path / "map").write_bytes(bytes(1_000_000))
+    cache = net.folder / "home3/.cache"
+    cache.mkdir(exist_ok=True)
+    mount = ("mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(cache))
+    subprocess.run(net.command(*mount, host=3), check=True)
+    try:
+        config = system(tmp_path, "full", h3=", copy: [map]")
+        done = subprocess.run(
+            net.play_launch("replay", str(config)),
+            env=net.environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    finally:
+        subprocess.run(net.command("umount", str(cache), host=3), check=True)
+    assert done.returncode == 1
+    assert "machine h3: files cannot be written there: " in done.stderr
     assert not supervisors(net, 2)
 
 

@@ -35,10 +35,13 @@ def files_of(config: ReplayConfig, copy: Iterable[Path]) -> dict[str, bytes]:
         files[os.path.normpath(file.path.absolute())] = file.text
     size = 0
     for path in (each for folder in copy for each in _files_below(folder)):
-        size += path.stat().st_size
-        if size > _LARGEST:
-            raise HostError(f"copy: more than {_LARGEST >> 20} MiB; copy it beforehand")
-        files[str(path)] = path.read_bytes()
+        try:
+            size += path.stat().st_size
+            if size > _LARGEST:
+                raise HostError(f"copy: more than {_LARGEST >> 20} MiB; copy it beforehand")
+            files[str(path)] = path.read_bytes()
+        except OSError as error:
+            raise HostError(f"copy: {path}: {error.strerror}") from None
     return files
 
 

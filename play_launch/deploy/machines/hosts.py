@@ -122,7 +122,10 @@ class LocalHost:
         return _output(process.returncode or 0, stdout.decode(), stderr.decode())
 
     async def put(self, files: Mapping[str, bytes]) -> None:
-        await asyncio.to_thread(_write, files)
+        try:
+            await asyncio.to_thread(_write, files)
+        except OSError as error:
+            raise HostError(f"files cannot be written here: {error}") from None
 
     async def get(self, folder: str, target: Path) -> None:
         import shutil  # noqa: PLC0415 - rarely needed
