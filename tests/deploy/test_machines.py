@@ -297,7 +297,7 @@ def test_a_full_disk_of_a_machine_is_said_before_anything_starts(
             check=False,
         )
     finally:
-        subprocess.run(net.command("umount", str(cache), host=3), check=True)
+        subprocess.run(net.command("umount", "-l", str(cache), host=3), check=True)
     assert done.returncode == 1
     assert "machine h3: files cannot be written there: " in done.stderr
     assert not supervisors(net, 2)
@@ -343,6 +343,38 @@ def test_a_session_that_was_killed_is_started_again(net: Hosts, tmp_path: Path) 
             "the new one",
         )
         killed.stop()
+
+
+def test_a_supervisor_that_hangs_holds_up_no_other_machine(net: Hosts, tmp_path: Path) -> None:
+    with running(net, system(tmp_path, "hung")) as hung:
+        hung.loaded()
+        (pid,) = supervisors(net, 3)
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            rows = hung.rows()
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        assert rows["/talker"]["state"] == "loaded"
+        assert rows["/listener"]["state"] == "unreachable"
+        until(lambda: hung.rows()["/listener"]["state"] == "loaded", "its answer")
+        hung.stop()
+
+
+def test_a_part_that_runs_is_not_started_a_second_time(net: Hosts, tmp_path: Path) -> None:
+    with running(net, system(tmp_path, "twin")) as twin:
+        twin.loaded()
+        (script,) = net.folder.glob("home2/.cache/play-launch/parts/twin-h2-*/start.sh")
+        done = subprocess.run(
+            net.command("bash", str(script), host=2),
+            env=net.environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert "is being started already" in done.stdout
+        assert len(supervisors(net, 2)) == 1
+        twin.stop()
 
 
 def test_without_its_coordinator_a_machine_with_stop_after_stops_itself(

@@ -24,6 +24,7 @@ _PARTS: Final = ".cache/play-launch/parts"
 """Below the home folder of a machine."""
 _KEPT: Final = 6
 """One more than the copies of a part that stay on its machine."""
+BUSY: Final = "a session of this part is being started already"
 _LARGEST: Final = 512 * 1024 * 1024
 """Bytes that are copied."""
 
@@ -91,7 +92,8 @@ class Bundle:
         """Return the files by their paths there."""
         duration = self._part.duration  # of the command line, perhaps
         limit = "" if duration is None else f" --duration {duration}"
-        files = {f"{self.folder}/start.sh": self.script(f"replay --quiet{limit}").encode()}
+        start = self.script(f"replay --quiet{limit}", lock=True)
+        files = {f"{self.folder}/start.sh": start.encode()}
         if not self.machine.local:
             files |= {f"{self.folder}/files{path}": text for path, text in self._files.items()}
         return files
@@ -103,9 +105,16 @@ class Bundle:
             f"ls -dt {self.unit}-{'?' * len(self._hash)} | tail -n +{_KEPT} | xargs -r rm -rf"
         )
 
-    def script(self, command: str) -> str:
-        """Write a script that becomes a play-launch of the part, in the machine's environment."""
+    def script(self, command: str, *, lock: bool = False) -> str:
+        """Write a script that becomes a play-launch of the part, in the machine's environment.
+
+        With ``lock`` it ends at once where another one of the part runs, which may be so young that
+        it cannot be found yet: the connection was lost while it was started.
+        """
         lines = ["#!/bin/bash"]
+        if lock:
+            file = shlex.quote(f"{self.folder.removesuffix(self._hash)}lock")
+            lines.append(f"exec 9> {file} && flock -n 9 || {{ echo {shlex.quote(BUSY)}; exit 0; }}")
         lines += [f". {_path(file)} || exit 3" for file in self.machine.setup]
         variables = dict(self.machine.environment)
         if self._peers:

@@ -147,7 +147,10 @@ class Coordinator:
             part = self.parts.pop(name)
             part.close()
         if self.config.discovery is DiscoveryBy.PEERS:
-            await self._share_addresses()
+            try:
+                await self._share_addresses()
+            except LinkLost as lost:
+                raise HostError(f"a machine was lost: {lost}") from None
 
     async def _share_addresses(self) -> None:
         """Give each part the addresses of all, for ROS_STATIC_PEERS."""
@@ -172,12 +175,14 @@ class Coordinator:
             await part.run()
         except HostError as error:
             _log.error("%s: %s", part.name, error)
-            self._failures[part.name] = str(error)
-            part.fail(str(error))
+            self._fail(part, error)
         except Exception as error:  # noqa: BLE001 - the other machines continue
             _log.exception("%s cannot be accompanied any more", part.name)
-            self._failures[part.name] = str(error)
-            part.fail(str(error))
+            self._fail(part, error)
+
+    def _fail(self, part: Part, error: Exception) -> None:
+        self._failures[part.name] = str(error)
+        part.put(PartState.FAILED, str(error))
 
     async def _watch_for_the_end(self) -> None:
         over = {PartState.ENDED, PartState.FAILED}

@@ -221,6 +221,9 @@ class SshHost:
                 for name, content in files.items():
                     async with sftp.open(name, "wb") as file:
                         await file.write(content)
+                    # Not each server reports what fails when a file is closed.
+                    if await sftp.getsize(name) != len(content):
+                        raise HostError(f"files cannot be written there: {name} is incomplete")
 
     async def get(self, folder: str, target: Path) -> None:
         await asyncio.to_thread(target.mkdir, parents=True, exist_ok=True)
@@ -251,7 +254,7 @@ class SshHost:
 
         try:
             yield
-        except ConnectionRefusedError:
+        except (ConnectionRefusedError, HostError):
             raise
         except asyncssh.SFTPError as error:
             lost = isinstance(error, asyncssh.SFTPConnectionLost | asyncssh.SFTPNoConnection)

@@ -17,7 +17,7 @@ import anyio
 from play_launch.config.machines import Service
 from play_launch.control.feed import USUAL_KINDS
 from play_launch.control.protocol import OperationError
-from play_launch.deploy.machines.bundle import Bundle, require_fit
+from play_launch.deploy.machines.bundle import BUSY, Bundle, require_fit
 from play_launch.deploy.machines.channel import Channel, clock_offset
 from play_launch.deploy.machines.hosts import HostError, LinkLost, SessionGone, about, connect
 
@@ -34,6 +34,10 @@ _RETRY: Final = (0.25, 5.0)
 _APPEARS: Final = 60.0
 """Seconds from the start of a session until its socket exists, on a cold disk."""
 _POLL: Final = 0.1
+_HELLO: Final = 5.0
+"""Seconds for the first message of a session."""
+_AGAIN: Final = 1.0
+"""Seconds before a session that refused a request is followed again."""
 _CLOCK_PERIOD: Final = 30.0
 _STARTS: Final = 5
 """Starts of a session that was killed, in a minute."""
@@ -76,7 +80,7 @@ class Part:
         self.rows: list[dict[str, Any]] = []
         """The latest ones that it sent."""
         self.met: list[list[str]] = []
-        """Conditions of its units that others wait for."""
+        """Conditions that others wait for."""
         self.hello: dict[str, Any] = {}
         self.offset_ns: int | None = None
         """Its clock minus this one's."""
@@ -153,7 +157,7 @@ class Part:
 
     async def run(self) -> None:
         """Start or adopt the session and follow it to its end; raises HostError."""
-        self._put(PartState.STARTING)
+        self.put(PartState.STARTING)
         try:
             link = await self._running()
             if link:
@@ -186,9 +190,6 @@ class Part:
         while self.state in states:
             self.changed.clear()
             await self.changed.wait()
-
-    def fail(self, reason: str) -> None:
-        self._put(PartState.FAILED, reason)
 
     def close(self) -> None:
         if self._host is not None:
@@ -229,9 +230,13 @@ class Part:
         """Return the link of a session of this part that runs already; empty if there is none."""
         for link in await self._links():
             try:
-                channel = await Channel.open(self.host, link)
+                async with asyncio.timeout(_HELLO):
+                    channel = await Channel.open(self.host, link)
             except (ConnectionRefusedError, OperationError):
                 continue
+            except TimeoutError:
+                # It may be this part's, which must not be started twice.
+                raise LinkLost("a session there does not answer") from None
             hello = channel.hello
             channel.close()
             if hello.get("machine") == self.name and hello["name"] == self.config.name:
@@ -265,28 +270,19 @@ class Part:
         self._starts = [each for each in self._starts if now - each < 60] + [now]
         if len(self._starts) > _STARTS:
             raise HostError("its session was killed again and again; see its journal or output")
-        before = await self._links()
         output = await self.host.run(self.bundle.start_command())
         if output.status:
             raise HostError(f"its session cannot be started: {output.stderr or output.stdout}")
         pid = output.stdout.strip()
         deadline = time.monotonic() + _APPEARS
         while time.monotonic() < deadline:
-            for link in await self._links():
-                with contextlib.suppress(ConnectionRefusedError, OperationError):
-                    if link in before:
-                        continue
-                    channel = await Channel.open(self.host, link)
-                    channel.close()
-                    if channel.hello.get("machine") == self.name:
-                        return link
-            if pid:
-                alive = await self.host.run(f"kill -0 {pid}")
-                if alive.status:
-                    tail = await self.host.run(
-                        f"tail -n 5 {shlex.quote(self.bundle.folder)}/output"
-                    )
+            if link := await self._running():
+                return link
+            if pid and (await self.host.run(f"kill -0 {pid}")).status:
+                tail = await self.host.run(f"tail -n 5 {shlex.quote(self.bundle.folder)}/output")
+                if BUSY not in tail.stdout:
                     raise HostError(f"its session ended at once: {tail.stdout.strip()}")
+                pid = ""
             await asyncio.sleep(_POLL)
         raise HostError(f"its session did not answer within {_APPEARS:g} s")
 
@@ -300,11 +296,11 @@ class Part:
                 _log.warning("%s: its session was started anew meanwhile", self.name)
             self._seen = 0
         self.hello, self._link = channel.hello, link
-        self._put(PartState.RUNNING)
+        self.put(PartState.RUNNING)
 
     async def _follow(self) -> None:
         """Follow the session to its end; raises LinkLost."""
-        await self._refresh()
+        self._stale.set()
         lost: list[LinkLost] = []
 
         async def guarded(work: Callable[[], Awaitable[None]]) -> None:
@@ -316,6 +312,7 @@ class Part:
                 lost.append(error)
             except OperationError as error:
                 _log.warning("%s: %s", self.name, error)
+                await asyncio.sleep(_AGAIN)
             tasks.cancel_scope.cancel()
 
         async with anyio.create_task_group() as tasks:
@@ -366,7 +363,7 @@ class Part:
         """Report the conditions that are met on other machines."""
         self.told = met
         if self.state is PartState.RUNNING:
-            with contextlib.suppress(LinkLost):
+            with contextlib.suppress(LinkLost, OperationError):
                 await self.ask("meet", {"met": met})
 
     async def _care(self) -> None:
@@ -395,17 +392,19 @@ class Part:
 
     async def _find_out_how_it_ended(self) -> None:
         """Decide what the end of the connection to its session means; raises LinkLost."""
-        present = self._link in await self._links()
-        if not present:
+        if link := await self._running():
+            await self._attach(link)
+            return
+        if self._link not in await self._links():
             # A session that ends in order removes its link when nothing of it runs any more.
-            self._put(PartState.ENDED, "its session has ended")
+            self.put(PartState.ENDED, "its session has ended")
             return
         _log.warning("%s: the supervisor of its session was killed", self.name)
         if self.machine.local or self.machine.service is Service.NONE:
             await self._attach(await self._start())
             return
         deadline = time.monotonic() + _APPEARS
-        while not (link := await self._running()) or link == self._link:
+        while not (link := await self._running()):
             if time.monotonic() > deadline:
                 raise HostError("systemd did not start its session again")
             await asyncio.sleep(_POLL)
@@ -416,7 +415,7 @@ class Part:
     def _lose(self, lost: LinkLost) -> None:
         if self.state is not PartState.UNREACHABLE:
             _log.warning("%s: the connection is lost: %s; it is tried again", self.name, lost)
-            self._put(PartState.UNREACHABLE, str(lost))
+            self.put(PartState.UNREACHABLE, str(lost))
         self.close()
         self._host = None
 
@@ -442,8 +441,8 @@ class Part:
             await self._bring(self.config)
             await self._attach(await self._start())
         else:
-            self._put(PartState.ENDED, "its session has ended while it was unreachable")
+            self.put(PartState.ENDED, "its session has ended while it was unreachable")
 
-    def _put(self, state: PartState, reason: str = "") -> None:
+    def put(self, state: PartState, reason: str = "") -> None:
         self.state, self.reason, self.since_ns = state, reason, time.time_ns()
         self.changed.set()

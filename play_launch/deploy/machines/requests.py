@@ -35,6 +35,8 @@ _EVENTS: Final = 5000
 _QUEUE: Final = 5000
 _ACTIONS: Final = frozenset((*MEMBER_ACTIONS, *NODE_ACTIONS, "signal", "wait"))
 _LISTS: Final = frozenset(("ps", "status", "parameters"))
+_ANSWER: Final = 5.0
+"""Seconds for the rows of a machine; its session may be stopped, or very busy."""
 _UNKNOWN: Final[dict[str, Any]] = {
     "last_restarts": (),
     "waits_for": "",
@@ -94,10 +96,11 @@ class Requests:
 
         async def ask(part: Part, wanted: Sequence[str]) -> None:
             try:
-                rows = await part.ask(operation, {"names": wanted})
+                async with asyncio.timeout(_ANSWER):
+                    rows = await part.ask(operation, {"names": wanted})
                 if operation == "ps" and not wanted:
                     part.rows = rows
-            except LinkLost:
+            except (LinkLost, TimeoutError):
                 rows = [] if operation == "parameters" else _unreachable(part, wanted)
                 if operation == "status":
                     rows = [{**row, **_UNKNOWN, "since_ns": part.since_ns} for row in rows]
@@ -322,7 +325,7 @@ def _unreachable(part: Part, wanted: Sequence[str]) -> list[dict[str, Any]]:
         {
             **row,
             **unknown,
-            "state": str(part.state),
+            "state": "unreachable" if part.state is PartState.RUNNING else str(part.state),
             "reason": f"since {since}, was {row['state']}" if row["state"] else part.reason,
         }
         for row in part.rows or _declared(part.config)
