@@ -47,7 +47,6 @@ def kubernetes(
         kustomization,
         manifests,
     )
-    from play_launch.deploy.machines.hosts import HostError  # noqa: PLC0415
 
     try:
         loaded = load_config(config, Inputs(arguments=parse_arguments(arguments or ())))
@@ -55,8 +54,6 @@ def kubernetes(
         text = manifests(loaded, workload)
     except ConfigError as error:
         fail(f"{config} cannot be used, nothing was written\n{error.for_people()}")
-    except HostError as error:
-        fail(f"{config} cannot run on Kubernetes: {error}")
     if output is None:
         say(text.rstrip("\n"))
         return

@@ -140,10 +140,12 @@ def discovery_problems(config: ReplayConfig, environ: Mapping[str, str]) -> list
     if len(parts) < 2:
         return []
     found = []
+    domains = set()
     for part in parts:
         variables = dict(part.environment)
         if config.machines[part.machine].local:
             variables = {**environ, **variables}
+        domains.add(variables.get("ROS_DOMAIN_ID") or "0")
         if variables.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() in {"LOCALHOST", "OFF"} and (
             config.discovery is DiscoveryBy.MULTICAST
         ):
@@ -158,7 +160,6 @@ def discovery_problems(config: ReplayConfig, environ: Mapping[str, str]) -> list
                 f"{part.machine}: it has {processes} processes, and peers find the first "
                 f"{_MOST_PROCESSES} of a machine only; use discovery: {{by: multicast}}"
             )
-    domains = {part.environment.get("ROS_DOMAIN_ID", "") for part in parts}
     if len(domains) > 1:
         found.append(
             "the machines have different ROS_DOMAIN_IDs, so their nodes do not find each other; "

@@ -16,7 +16,7 @@ from play_launch.deploy.machines.hosts import HostError
 from play_launch.deploy.unit import stop_seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from play_launch.config.model import ReplayConfig
 
@@ -54,20 +54,25 @@ def manifests(config: ReplayConfig, workload: Workload) -> str:
     _refuse_conditions(parts)
     if workload.fleet and config.duration is not None:
         raise HostError("duration makes a Job of it, which is no DaemonSet: leave one of them out")
-    documents: list[dict[str, Any]] = [_config_map(config)]
-    documents += [_workload(config, part, workload, name) for name, part in parts.items()]
+    files = files_of(config, [path for each in config.machines.values() for path in each.copy])
+    documents: list[dict[str, Any]] = [_config_map(config, files)]
+    documents += [_workload(config, part, workload, name, files) for name, part in parts.items()]
     return yaml.safe_dump_all(documents, sort_keys=False, default_flow_style=False, width=100)
 
 
 def kustomization(config: ReplayConfig, image: str) -> str:
     """Write an overlay in which image and namespace are changed."""
-    name, _, tag = image.partition(":")
+    name, separator, tag = image.rpartition(":")
+    if not separator or "/" in tag:  # the colon is that of a registry's port
+        name, tag = image, "latest"
+    if "@" in image:
+        raise HostError(f"--image {image}: give a tag, no digest, for the overlay")
     overlay: dict[str, Any] = {
         "apiVersion": "kustomize.config.k8s.io/v1beta1",
         "kind": "Kustomization",
         "namespace": _plain(config.name),
         "resources": ["system.yaml"],
-        "images": [{"name": name, "newName": name, "newTag": tag or "latest"}],
+        "images": [{"name": name, "newName": name, "newTag": tag}],
     }
     return yaml.safe_dump(overlay, sort_keys=False)
 
@@ -84,8 +89,7 @@ def _refuse_conditions(parts: dict[str, ReplayConfig]) -> None:
                     )
 
 
-def _config_map(config: ReplayConfig) -> dict[str, Any]:
-    files = _files(config)
+def _config_map(config: ReplayConfig, files: Mapping[str, bytes]) -> dict[str, Any]:
     size = sum(map(len, files.values()))
     if size > _LARGEST:
         raise HostError(
@@ -106,17 +110,15 @@ def _config_map(config: ReplayConfig) -> dict[str, Any]:
     }
 
 
-def _files(config: ReplayConfig) -> dict[str, bytes]:
-    copied = [path for machine in config.machines.values() for path in machine.copy]
-    return files_of(config, copied)
-
-
 def _workload(
-    config: ReplayConfig, part: ReplayConfig, workload: Workload, machine: str
+    config: ReplayConfig, part: ReplayConfig, workload: Workload, machine: str, files: Iterable[str]
 ) -> dict[str, Any]:
     name = _plain(f"{config.name}-{machine}" if machine else config.name)
     labels = {_NAME: name, _PART_OF: _plain(config.name)}
-    template = {"metadata": {"labels": labels}, "spec": _pod(config, part, workload, machine)}
+    template = {
+        "metadata": {"labels": labels},
+        "spec": _pod(config, part, workload, machine, files),
+    }
     metadata = {"name": name, "labels": labels}
     if config.duration is not None:
         template["spec"]["restartPolicy"] = "Never"
@@ -138,9 +140,8 @@ def _workload(
 
 
 def _pod(
-    config: ReplayConfig, part: ReplayConfig, workload: Workload, machine: str
+    config: ReplayConfig, part: ReplayConfig, workload: Workload, machine: str, files: Iterable[str]
 ) -> dict[str, Any]:
-    files = _files(config)
     source = f"{_FOLDER}{config.source.absolute()}"
     words = ["play-launch", "replay", "--quiet", *(["--machine", machine] if machine else [])]
     container: dict[str, Any] = {

@@ -14,7 +14,7 @@ from play_launch.deploy.machines.hosts import HostError
 from play_launch.deploy.unit import stop_seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from play_launch.config.model import ReplayConfig
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _PARTS: Final = ".cache/play-launch/parts"
 """Below the home folder of a machine."""
+_ANY_HASH: Final = "?" * 16
 _KEPT: Final = 6
 """One more than the copies of a part that stay on its machine."""
 BUSY: Final = "a session of this part is being started already"
@@ -61,25 +62,22 @@ class Bundle:
         self,
         part: ReplayConfig,
         arguments: Sequence[str],
+        files: Mapping[str, bytes],
         *,
         home: str,
         program: str,
         peers: Sequence[str],
     ) -> None:
-        """Read all files; ``home`` is of the machine, ``program`` is the local play-launch.
-
-        Raises HostError.
-        """
+        """Name the folder; ``home`` is of the machine, ``program`` is the local play-launch."""
         self._part = part
         self.machine = part.machines[part.machine]
         self._arguments = arguments
         self._program = program
         self._peers = peers
-        self._files = files_of(part, self.machine.copy)
         digest = hashlib.sha256(json.dumps(list(arguments)).encode())
-        for name in sorted(self._files):
-            digest.update(f"{name}\0{len(self._files[name])}\0".encode())
-            digest.update(self._files[name])
+        for name in sorted(files):
+            digest.update(f"{name}\0{len(files[name])}\0".encode())
+            digest.update(files[name])
         self._hash = digest.hexdigest()[:16]
         kept = (each if each.isascii() and each.isalnum() else "-" for each in part.name)
         self.unit = f"{''.join(kept)}-{part.machine}"
@@ -88,22 +86,27 @@ class Bundle:
         self.source = source if self.machine.local else f"{self.folder}/files{source}"
         """Path of the configuration there."""
 
-    def to_copy(self) -> dict[str, bytes]:
-        """Return the files by their paths there."""
+    def start_script(self) -> str:
         duration = self._part.duration  # of the command line, perhaps
         limit = "" if duration is None else f" --duration {duration}"
-        start = self.script(f"replay --quiet{limit}", lock=True)
-        files = {f"{self.folder}/start.sh": start.encode()}
-        if not self.machine.local:
-            files |= {f"{self.folder}/files{path}": text for path, text in self._files.items()}
-        return files
+        return self.script(f"replay --quiet{limit}", lock=True)
+
+    def there(self, files: Mapping[str, bytes]) -> dict[str, bytes]:
+        """Return the files by their paths there; none where it is this machine."""
+        if self.machine.local:
+            return {}
+        return {f"{self.folder}/files{path}": text for path, text in files.items()}
 
     def clean_up_command(self) -> str:
-        """Return a command that removes earlier copies, all but a few."""
+        """Return a command that removes earlier copies, all but a few, and the one in use."""
         return (
-            f'cd "$HOME/{_PARTS}" && touch {self.unit}-{self._hash} && '
-            f"ls -dt {self.unit}-{'?' * len(self._hash)} | tail -n +{_KEPT} | xargs -r rm -rf"
+            f'cd "$HOME/{_PARTS}" && ls -dt {self.unit}-{_ANY_HASH} '
+            f'| grep -vxF "$(readlink {self.unit})" | tail -n +{_KEPT} | xargs -r rm -rf'
         )
+
+    def adopt_command(self) -> str:
+        """Return a command by which this is what is started from now on, by systemd as well."""
+        return f'cd "$HOME/{_PARTS}" && ln -sfn {self.unit}-{self._hash} {self.unit}'
 
     def script(self, command: str, *, lock: bool = False) -> str:
         """Write a script that becomes a play-launch of the part, in the machine's environment.
@@ -129,7 +132,8 @@ class Bundle:
         return "\n".join(lines) + "\n"
 
     def start_command(self) -> str:
-        script, output = (shlex.quote(f"{self.folder}/{name}") for name in ("start.sh", "output"))
+        adopted = self.folder.removesuffix(f"-{self._hash}")
+        script, output = (shlex.quote(f"{adopted}/{name}") for name in ("start.sh", "output"))
         bash = f"bash --norc --noprofile {script}"
         if self.machine.local or self.machine.service is Service.NONE:
             return f"setsid {bash} < /dev/null > {output} 2>&1 & echo $!"

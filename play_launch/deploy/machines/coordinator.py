@@ -162,7 +162,7 @@ class Coordinator:
             found += [output.stdout] if output.stdout else []
         for part in self.parts.values():
             part.peers = tuple(found)
-            await part.change(part.config)
+            await part.adopt(part.config, await part.bring(part.config))
 
     async def _accompany_all(self) -> None:
         async with anyio.create_task_group() as tasks:

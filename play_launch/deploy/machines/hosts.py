@@ -14,6 +14,8 @@ import socket
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
+from play_launch import UserError
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -30,7 +32,7 @@ printf '%s\\n' "$HOME" "$(cat /proc/sys/kernel/random/boot_id)" \
 """
 
 
-class HostError(Exception):
+class HostError(UserError):
     """A machine cannot be used; the text has the fix."""
 
 

@@ -9,7 +9,6 @@ import math
 import shlex
 import time
 from enum import StrEnum
-from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import anyio
@@ -17,7 +16,7 @@ import anyio
 from play_launch.config.machines import Service
 from play_launch.control.feed import USUAL_KINDS
 from play_launch.control.protocol import OperationError
-from play_launch.deploy.machines.bundle import BUSY, Bundle, require_fit
+from play_launch.deploy.machines.bundle import BUSY, Bundle, files_of, require_fit
 from play_launch.deploy.machines.channel import Channel, clock_offset
 from play_launch.deploy.machines.hosts import HostError, LinkLost, SessionGone, about, connect
 
@@ -150,7 +149,7 @@ class Part:
         """Connect, bring the files there, and let the machine check its part; raises HostError."""
         await self._connect()
         try:
-            await self._bring(self.config)
+            await self.adopt(self.config, await self.bring(self.config))
             await require_fit(self.host, self.bundle)
         except LinkLost as lost:
             raise HostError(str(lost)) from None
@@ -195,10 +194,37 @@ class Part:
         if self._host is not None:
             self._host.close()
 
-    async def change(self, part: ReplayConfig) -> None:
-        """Bring another configuration there."""
-        self.config = part
-        await self._bring(part)
+    async def bring(self, part: ReplayConfig, arguments: Sequence[str] | None = None) -> Bundle:
+        """Copy what a configuration needs there, unless it is there; nothing is changed yet.
+
+        Raises HostError and LinkLost.
+        """
+        assert self._about is not None
+        host = self.host
+        files = await asyncio.to_thread(files_of, part, self.machine.copy)
+        bundle = Bundle(
+            part,
+            self._arguments if arguments is None else arguments,
+            files,
+            home=self._about.home,
+            program=self._program,
+            peers=self.peers,
+        )
+        complete = f"{bundle.folder}/complete"
+        # The variables of the machine are in it.
+        found = await host.run(
+            f"umask 077; mkdir -p {shlex.quote(bundle.folder)}; test -e {shlex.quote(complete)}"
+        )
+        if found.status:
+            await host.put(bundle.there(files))
+        await host.put({f"{bundle.folder}/start.sh": bundle.start_script().encode(), complete: b""})
+        await host.run(bundle.clean_up_command())
+        return bundle
+
+    async def adopt(self, part: ReplayConfig, bundle: Bundle) -> None:
+        """Take a configuration that was brought as that of the part; raises LinkLost."""
+        await self.host.run(bundle.adopt_command())
+        self.config, self._bundle = part, bundle
 
     # Start.
 
@@ -209,22 +235,6 @@ class Part:
         except LinkLost as lost:
             name = self.machine.ssh or self.name
             raise HostError(f"it does not answer: {lost}; try `ssh {name} true`") from None
-
-    async def _bring(self, part: ReplayConfig) -> None:
-        assert self._about is not None
-        make = partial(
-            Bundle,
-            part,
-            self._arguments,
-            home=self._about.home,
-            program=self._program,
-            peers=self.peers,
-        )
-        self._bundle = await asyncio.to_thread(make)
-        # The variables of the machine are in it.
-        await self.host.run(f"umask 077; mkdir -p {shlex.quote(self._bundle.folder)}")
-        await self.host.put(self._bundle.to_copy())
-        await self.host.run(self._bundle.clean_up_command())
 
     async def _running(self) -> str:
         """Return the link of a session of this part that runs already; empty if there is none."""
@@ -438,7 +448,7 @@ class Part:
             await self._attach(link)
         elif self._about.boot != boot or not self.hello:
             _log.warning("%s: it was booted anew; its part is started", self.name)
-            await self._bring(self.config)
+            await self.adopt(self.config, await self.bring(self.config))
             await self._attach(await self._start())
         else:
             self.put(PartState.ENDED, "its session has ended while it was unreachable")

@@ -15,7 +15,13 @@ from play_launch.config.machines import part_of, used_machines
 from play_launch.config.model import ContainerConfig
 from play_launch.config.node_key import NodeKey
 from play_launch.config.problems import ConfigError
-from play_launch.control.messages import ChangeRequest, EventsRequest, UnitRow, read_arguments
+from play_launch.control.messages import (
+    ChangeRequest,
+    EventsRequest,
+    UnitRow,
+    WaitRequest,
+    read_arguments,
+)
 from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, Code, OperationError
 from play_launch.control.serve import read_change
 from play_launch.control.units import chosen
@@ -24,11 +30,12 @@ from play_launch.deploy.machines.part import Part, PartState
 from play_launch.recording.console_format import logger_of, loggers_in
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 
     from play_launch.config.model import ReplayConfig
     from play_launch.control.messages import Caller, Request
     from play_launch.control.units import Target
+    from play_launch.deploy.machines.bundle import Bundle
 
 _EVENTS: Final = 5000
 """Events of all machines that are kept for clients."""
@@ -71,9 +78,11 @@ class Requests:
             case "apply":
                 return await self._change(read_arguments(request.arguments, ChangeRequest), caller)
             case "environment":
-                return await self._first("environment")
+                return await self._first("environment", caller)
             case "snapshot":
-                found = [await part.ask("snapshot") for part in self._reachable()]
+                found = [
+                    await self._result(part, "snapshot", {}, caller) for part in self._reachable()
+                ]
                 return {key: sum(each[key] for each in found) for key in found[0]} if found else {}
         known = ", ".join(
             sorted((*_LISTS, *_ACTIONS, "apply", "environment", "events", "snapshot"))
@@ -84,22 +93,56 @@ class Requests:
     def _reachable(self) -> list[Part]:
         return [part for part in self._parts.values() if part.state is PartState.RUNNING]
 
-    async def _first(self, operation: str) -> object:
+    async def _first(self, operation: str, caller: Caller) -> object:
         for part in sorted(self._reachable(), key=lambda each: not each.machine.local):
-            return await part.ask(operation)
+            return await self._result(part, operation, {}, caller)
         raise OperationError(Code.REFUSED, "no machine can be reached")
+
+    async def _stream(
+        self, part: Part, operation: str, arguments: Mapping[str, Any], caller: Caller
+    ) -> AsyncIterator[dict[str, Any]]:
+        """Request an operation of one machine; raises OperationError, also when it is lost."""
+        try:
+            channel = await part.open()
+        except LinkLost as lost:
+            text = f"machine {part.name} is unreachable: {lost}"
+            raise OperationError(Code.REFUSED, text) from None
+        has_result = False
+        try:
+            async for message in channel.stream(operation, arguments, caller.command):
+                has_result = "result" in message
+                yield message
+        except LinkLost as lost:
+            text = f"the connection to {part.name} was lost meanwhile: {lost}"
+            raise OperationError(Code.FAILED, text) from None
+        finally:
+            channel.close()
+        if not has_result:
+            raise OperationError(Code.FAILED, f"the session of {part.name} has ended meanwhile")
+
+    async def _result(
+        self, part: Part, operation: str, arguments: Mapping[str, Any], caller: Caller
+    ) -> Any:
+        result: Any = None
+        async for each in self._stream(part, operation, arguments, caller):
+            result = each.get("result", result)
+        return result
 
     async def _rows(self, operation: str, arguments: Mapping[str, Any]) -> list[dict[str, Any]]:
         names = arguments.get("names", ())
         targets = self._by_machine(names) if names else dict.fromkeys(self._parts, ())
         found: dict[str, list[dict[str, Any]]] = {}
+        errors: list[OperationError] = []
 
         async def ask(part: Part, wanted: Sequence[str]) -> None:
+            rows: list[dict[str, Any]] = []
             try:
                 async with asyncio.timeout(_ANSWER):
                     rows = await part.ask(operation, {"names": wanted})
                 if operation == "ps" and not wanted:
                     part.rows = rows
+            except OperationError as error:
+                errors.append(error)
             except (LinkLost, TimeoutError):
                 rows = [] if operation == "parameters" else _unreachable(part, wanted)
                 if operation == "status":
@@ -109,6 +152,8 @@ class Requests:
         async with anyio.create_task_group() as tasks:
             for name, wanted in targets.items():
                 tasks.start_soon(ask, self._parts[name], wanted)
+        if errors:
+            raise errors[0]
         return [row for name in self._parts for row in found.get(name, ())]
 
     async def _wait_for_machines(self, limit: float) -> None:
@@ -122,32 +167,23 @@ class Requests:
 
     async def _act(self, operation: str, arguments: dict[str, Any], caller: Caller) -> object:
         if operation == "wait":
-            await self._wait_for_machines(float(arguments.get("timeout", 60)))
+            await self._wait_for_machines(
+                read_arguments(json.encode(arguments), WaitRequest).timeout
+            )
         names = arguments.get("names", ())
         targets = self._by_machine(names) if names else dict.fromkeys(self._parts, ())
         results: list[dict[str, Any]] = []
         errors: list[OperationError] = []
 
         async def ask(part: Part, wanted: Sequence[str]) -> None:
+            asked = {**arguments, "names": list(wanted)}
             try:
-                channel = await part.open()
-            except LinkLost as lost:
-                text = f"machine {part.name} is unreachable: {lost}"
-                errors.append(OperationError(Code.REFUSED, text))
-                return
-            try:
-                request = {**arguments, "names": list(wanted)}
-                async for message in channel.stream(operation, request, caller.command):
-                    results.extend(message.get("result", {}).get("results", ()))
+                result = await self._result(part, operation, asked, caller)
+                results.extend(result["results"])
             except OperationError as error:
                 errors.append(error)
                 found = error.details.get("results")
                 results.extend(found if isinstance(found, list) else ())
-            except LinkLost as lost:
-                text = f"the connection to {part.name} was lost meanwhile: {lost}"
-                errors.append(OperationError(Code.FAILED, text))
-            finally:
-                channel.close()
 
         async with anyio.create_task_group() as tasks:
             for name, wanted in targets.items():
@@ -230,8 +266,19 @@ class Requests:
         lost = [name for name in used if self._parts[name].state is not PartState.RUNNING]
         if lost:
             raise OperationError(Code.REFUSED, f"machine {lost[0]} is unreachable")
-        await self._bring(target)
-        plans = {name: await self._plan(self._parts[name], request) for name in used}
+        bundles = await self._bring(target, request.arguments)
+
+        def arguments(name: str, *, dry_run: bool) -> dict[str, Any]:
+            values = {**asdict(request), "path": bundles[name].source, "dry_run": dry_run}
+            del values["text"], values["environment"]  # the variables are those of the machine
+            return values
+
+        plans: dict[str, dict[str, Any]] = {}
+        for name in used:
+            asked = arguments(name, dry_run=True)
+            plans[name] = (await self._result(self._parts[name], "apply", asked, caller))["plan"]
+            for step in plans[name]["steps"]:
+                step["machine"] = name
         steps = [step for plan in plans.values() for step in plan["steps"]]
         if request.dry_run:
             return {"plan": {"steps": steps}, "applying": None}
@@ -240,19 +287,16 @@ class Requests:
         failures: list[str] = []
 
         async def apply(part: Part) -> None:
-            channel = await part.open()
+            asked = arguments(part.name, dry_run=False)
             try:
-                arguments = self._for_part(part, request, dry_run=False)
-                async for message in channel.stream("apply", arguments, caller.command):
+                async for message in self._stream(part, "apply", asked, caller):
                     if "step" in message:
                         await caller.send("step", message["step"])
-                    outcomes.extend(
-                        message.get("result", {}).get("applied", {}).get("outcomes", ())
-                    )
+                    if "result" in message:
+                        outcomes.extend(message["result"]["applied"]["outcomes"])
+                await part.adopt(part_of(target, part.name), bundles[part.name])
             except (OperationError, LinkLost) as error:
                 failures.append(f"{part.name}: {error}")
-            finally:
-                channel.close()
 
         async with anyio.create_task_group() as tasks:
             for name, plan in plans.items():
@@ -264,31 +308,14 @@ class Requests:
         self.applied = target
         return {"applied": applied}
 
-    async def _bring(self, target: ReplayConfig) -> None:
+    async def _bring(self, target: ReplayConfig, arguments: Sequence[str]) -> dict[str, Bundle]:
+        found = {}
         for name, part in self._parts.items():
             try:
-                await part.change(part_of(target, name))
+                found[name] = await part.bring(part_of(target, name), arguments)
             except (LinkLost, HostError) as error:
                 raise OperationError(Code.REFUSED, f"machine {name}: {error}") from None
-
-    async def _plan(self, part: Part, request: ChangeRequest) -> dict[str, Any]:
-        try:
-            found = await part.ask("apply", self._for_part(part, request, dry_run=True))
-        except LinkLost as lost:
-            raise OperationError(Code.REFUSED, f"machine {part.name}: {lost}") from None
-        steps = [{**step, "machine": part.name} for step in found["plan"]["steps"]]
-        return {"steps": steps}
-
-    @staticmethod
-    def _for_part(part: Part, request: ChangeRequest, *, dry_run: bool) -> dict[str, Any]:
-        arguments = {
-            **asdict(request),
-            "path": part.bundle.source,
-            "environment": {},
-            "dry_run": dry_run,
-        }
-        del arguments["text"]
-        return arguments
+        return found
 
 
 class _Wanted:
