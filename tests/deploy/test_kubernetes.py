@@ -99,13 +99,19 @@ def test_kubernetes_accepts_them(
         kubernetes_validate.validate(each, version, strict=True)
 
 
-def test_a_folder_gets_an_overlay(tmp_path: Path) -> None:
-    written(tmp_path, SYSTEM, "--output", str(tmp_path / "k8s"), "--image", "registry/robot:2")
+@pytest.mark.parametrize(
+    ("image", "name", "tag"),
+    [
+        ("registry/robot:2", "registry/robot", "2"),
+        ("registry:5000/robot", "registry:5000/robot", "latest"),
+        ("registry:5000/robot:2", "registry:5000/robot", "2"),
+    ],
+)
+def test_a_folder_gets_an_overlay(tmp_path: Path, image: str, name: str, tag: str) -> None:
+    written(tmp_path, SYSTEM, "--output", str(tmp_path / "k8s"), "--image", image)
     overlay = yaml.safe_load((tmp_path / "k8s/kustomization.yaml").read_text())
     assert overlay["resources"] == ["system.yaml"]
-    assert overlay["images"] == [
-        {"name": "registry/robot", "newName": "registry/robot", "newTag": "2"}
-    ]
+    assert overlay["images"] == [{"name": name, "newName": name, "newTag": tag}]
     assert documents((tmp_path / "k8s/system.yaml").read_text())
 
 

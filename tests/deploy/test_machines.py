@@ -5,18 +5,16 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from mcap.reader import McapReader, make_reader
 
-from tests.support.hosts import Hosts, hosts, missing
+from tests.support.hosts import Hosts, hosts, missing, running
 from tests.support.waiting import until
 
 PROGRAM = Path(sys.executable).with_name("play-launch")
@@ -65,73 +63,6 @@ nodes:
 """
     )
     return path
-
-
-class Running:
-    """A coordinator and what it prints."""
-
-    def __init__(self, net: Hosts, config: Path) -> None:
-        self.net = net
-        self.name = config.stem
-        self.output = config.with_suffix(".out")
-        with self.output.open("ab") as out:
-            self.process = subprocess.Popen(
-                net.play_launch("replay", "--json", str(config)),
-                env=net.environment,
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
-
-    def ask(self, *words: str, code: int = 0) -> str:
-        done = subprocess.run(
-            self.net.play_launch(*words, "--session", str(self.process.pid)),
-            env=self.net.environment,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
-        assert done.returncode == code, f"{words}: {done.stdout}{done.stderr}{self.printed()}"
-        return done.stdout + done.stderr
-
-    def loaded(self) -> Running:
-        self.ask("wait", "--timeout", "40s")
-        return self
-
-    def rows(self) -> dict[str, dict[str, Any]]:
-        return {row["name"]: row for row in json.loads(self.ask("ps", "--json"))}
-
-    def printed(self) -> str:
-        return self.output.read_text()
-
-    def events(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in self.printed().splitlines() if line.startswith("{")]
-
-    def ticks(self) -> list[int]:
-        """Give the numbers that the process on h3 wrote, as they were printed."""
-        texts = (each["text"] for each in self.events() if each["event"] == "output")
-        return [int(found[1]) for text in texts if (found := re.fullmatch(r"tick (\d+)", text))]
-
-    def stop(self, code: int = 130) -> None:
-        self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(40) == code, self.printed()
-
-
-@contextlib.contextmanager
-def running(net: Hosts, config: Path) -> Iterator[Running]:
-    started = Running(net, config)
-    try:
-        yield started
-    finally:
-        if started.process.poll() is None:
-            started.process.send_signal(signal.SIGINT)
-            try:
-                started.process.wait(30)
-            except subprocess.TimeoutExpired:
-                started.process.kill()
-                started.process.wait()
 
 
 @contextlib.contextmanager
@@ -199,14 +130,7 @@ def test_the_recordings_of_all_machines_become_one(net: Hosts, tmp_path: Path) -
         whole.stop()
     folder = net.home / ".ros/play_launch/latest"
     assert folder.resolve().name.endswith("-whole")
-    done = subprocess.run(
-        net.play_launch("collect", "--json"),
-        env=net.environment,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    done = net.run("collect", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["missing"] == []
     explained = subprocess.run(
@@ -265,14 +189,7 @@ def test_a_stop_amid_the_start_leaves_nothing(net: Hosts, tmp_path: Path) -> Non
 
 
 def test_all_machines_end_after_the_duration(net: Hosts, tmp_path: Path) -> None:
-    done = subprocess.run(
-        net.play_launch("replay", str(system(tmp_path, "short")), "--duration", "2s"),
-        env=net.environment,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    done = net.run("replay", str(system(tmp_path, "short")), "--duration", "2s")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "[h3 /ticks] tick 1" in done.stdout
     assert not supervisors(net, 2)
@@ -288,19 +205,65 @@ def test_a_full_disk_of_a_machine_is_said_before_anything_starts(
     subprocess.run(net.command(*mount, host=3), check=True)
     try:
         config = system(tmp_path, "full", h3=", copy: [map]")
-        done = subprocess.run(
-            net.play_launch("replay", str(config)),
-            env=net.environment,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+        done = net.run("replay", str(config))
     finally:
         subprocess.run(net.command("umount", "-l", str(cache), host=3), check=True)
     assert done.returncode == 1
     assert "machine h3: files cannot be written there: " in done.stderr
     assert not supervisors(net, 2)
+
+
+def test_detached_machines_run_on_and_the_next_replay_adopts_them(
+    net: Hosts, tmp_path: Path
+) -> None:
+    config = system(tmp_path, "apart")
+    net.run("replay", str(config), "--detach", code=0)
+    pids = supervisors(net, 2), supervisors(net, 3)
+    assert all(pids)
+    with running(net, config) as heir:
+        heir.loaded()
+        assert (supervisors(net, 2), supervisors(net, 3)) == pids
+        heir.stop()
+
+
+def test_on_exit_shutdown_of_one_machine_ends_all(net: Hosts, tmp_path: Path) -> None:
+    config = system(tmp_path, "ends")
+    text = config.read_text().replace("command: [bash", "on_exit: shutdown\n    command: [bash")
+    config.write_text(text.replace("while :; do", "while [ $i -lt 40 ]; do"))
+    done = net.run("replay", str(config))
+    assert "h3 ends the whole system (on_exit: shutdown)" in done.stdout
+    assert not supervisors(net, 2)
+
+
+def test_the_others_start_without_an_optional_machine(net: Hosts, tmp_path: Path) -> None:
+    config = system(tmp_path, "some", h3=", optional: true, ssh: 10.77.0.99, connect_timeout: 1 s")
+    with running(net, config) as some:
+        rows = some.loaded().rows()
+        assert rows["/talker"]["state"] == "loaded"
+        assert "/listener" not in rows
+        assert "the others start without it" in some.printed()
+        some.stop()
+
+
+def test_a_configuration_that_was_only_compared_is_not_started(net: Hosts, tmp_path: Path) -> None:
+    config = system(tmp_path, "same")
+    with running(net, config) as same:
+        same.loaded()
+        other = system(tmp_path, "other", talker="talker2")
+        other.write_text(other.read_text().replace("name: other", "name: same"))
+        same.ask("diff", str(other), code=1)
+        (pid,) = supervisors(net, 2)
+        os.kill(pid, signal.SIGKILL)
+        until(lambda: "started anew" in same.printed(), "the new session")
+        same.loaded()
+        assert "/talker" in same.rows()
+        same.ask("apply", str(other))
+        (pid,) = supervisors(net, 2)
+        os.kill(pid, signal.SIGKILL)
+        until(lambda: same.printed().count("started anew") > 1, "the next one")
+        same.loaded()
+        assert "/talker2" in same.rows()
+        same.stop()
 
 
 def test_peers_find_each_other_without_multicast(net: Hosts, tmp_path: Path) -> None:
@@ -363,7 +326,7 @@ def test_a_supervisor_that_hangs_holds_up_no_other_machine(net: Hosts, tmp_path:
 def test_a_part_that_runs_is_not_started_a_second_time(net: Hosts, tmp_path: Path) -> None:
     with running(net, system(tmp_path, "twin")) as twin:
         twin.loaded()
-        (script,) = net.folder.glob("home2/.cache/play-launch/parts/twin-h2-*/start.sh")
+        (script,) = net.folder.glob("home2/.cache/play-launch/parts/twin-h2/start.sh")
         done = subprocess.run(
             net.command("bash", str(script), host=2),
             env=net.environment,
@@ -426,14 +389,7 @@ def test_what_is_wrong_with_a_machine_is_said_before_anything_starts(
         assert before in text
         text = text.replace(before, after.replace("OLD", str(old)))
     config.write_text(text)
-    done = subprocess.run(
-        net.play_launch("replay", str(config)),
-        env=net.environment,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    done = net.run("replay", str(config))
     assert done.returncode == 1, done.stdout + done.stderr
     assert "nothing was started\n" in done.stderr
     assert "machine h3: " in done.stderr

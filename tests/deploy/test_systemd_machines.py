@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import signal
-import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.deploy.test_machines import PROGRAM, running
-from tests.support.hosts import hosts, missing_systemd
+from tests.deploy.test_machines import PROGRAM
+from tests.support.hosts import hosts, missing_systemd, running
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.skipif(bool(missing_systemd()), reason=f"systemd: {missing_systemd()}")
@@ -43,14 +42,7 @@ containers:
     with hosts(tmp_path / "hosts", 1) as net:
         net.boot(21)
         net.boot(22)
-        refused = subprocess.run(
-            net.play_launch("replay", str(config)),
-            env=net.environment,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+        refused = net.run("replay", str(config))
         assert refused.returncode == 1
         assert "machine user: " in refused.stderr
         assert "loginctl enable-linger" in refused.stderr

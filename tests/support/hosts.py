@@ -6,14 +6,17 @@ They share the file system and the pids. Nothing leaves the namespaces.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from tests.support.replay import finished
 from tests.support.waiting import until
 
 if TYPE_CHECKING:
@@ -44,17 +47,17 @@ rm -f $root/etc/ssh/sshd_not_to_be_run
 systemd-id128 new > $root/etc/machine-id
 [ -e $2.key ] || ssh-keygen -q -t ed25519 -N "" -C "" -f $2.key
 cp $2.key $root/etc/ssh/host_key
-mkdir -p $root/root/.ssh
-cp $3 $root/root/.ssh/authorized_keys
-chmod 755 $root/root
+cp $3 $root/etc/ssh/authorized_keys
+for folder in $4 $5; do
+  # The user robot runs what lies there.
+  while folder=$(dirname $folder) && [ $folder != / ]; do chmod a+x $root$folder; done
+done
 chroot $root useradd -m -s /bin/bash robot
-mkdir $root/home/robot/.ssh
-cp $3 $root/home/robot/.ssh/authorized_keys
-chroot $root chown -R robot:robot /home/robot
 mkdir -p $root/var/lib/systemd/linger
 [ ! -e $2.linger ] || touch $root/var/lib/systemd/linger/robot
 printf '%s\\n' 'HostKey /etc/ssh/host_key' 'UsePAM yes' 'PermitRootLogin yes' 'StrictModes no' \
-  'Subsystem sftp internal-sftp' > $root/etc/ssh/sshd_config
+  'AuthorizedKeysFile /etc/ssh/authorized_keys' 'Subsystem sftp internal-sftp' \\
+  > $root/etc/ssh/sshd_config
 cp $2.key.pub $2.pub
 export SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1
 exec systemd-nspawn -q -D $root --register=no --keep-unit -M $1 --hostname=$1 \
@@ -254,6 +257,10 @@ class Hosts:
     def play_launch(self, *words: str) -> list[str]:
         return self.command(str(Path(sys.executable).with_name("play-launch")), *words)
 
+    def run(self, *words: str, code: int | None = None) -> subprocess.CompletedProcess[str]:
+        """Run play-launch on h1 to its end; with ``code``, it has to exit with that."""
+        return finished(self.play_launch(*words), env=self.environment, timeout=60, code=code)
+
     @property
     def environment(self) -> dict[str, str]:
         kept = {
@@ -307,3 +314,70 @@ def hosts(folder: Path, count: int) -> Iterator[Hosts]:
 
 def _run(*words: str) -> None:
     subprocess.run(words, check=True, stdin=subprocess.DEVNULL)
+
+
+class Running:
+    """A coordinator and what it prints."""
+
+    def __init__(self, net: Hosts, config: Path) -> None:
+        self.net = net
+        self.name = config.stem
+        self.output = config.with_suffix(".out")
+        with self.output.open("ab") as out:
+            self.process = subprocess.Popen(
+                net.play_launch("replay", "--json", str(config)),
+                env=net.environment,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    def ask(self, *words: str, code: int = 0) -> str:
+        done = subprocess.run(
+            self.net.play_launch(*words, "--session", str(self.process.pid)),
+            env=self.net.environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert done.returncode == code, f"{words}: {done.stdout}{done.stderr}{self.printed()}"
+        return done.stdout + done.stderr
+
+    def loaded(self) -> Running:
+        self.ask("wait", "--timeout", "40s")
+        return self
+
+    def rows(self) -> dict[str, dict[str, Any]]:
+        return {row["name"]: row for row in json.loads(self.ask("ps", "--json"))}
+
+    def printed(self) -> str:
+        return self.output.read_text()
+
+    def events(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.printed().splitlines() if line.startswith("{")]
+
+    def ticks(self) -> list[int]:
+        """Give the numbers that the process on h3 wrote, as they were printed."""
+        texts = (each["text"] for each in self.events() if each["event"] == "output")
+        return [int(found[1]) for text in texts if (found := re.fullmatch(r"tick (\d+)", text))]
+
+    def stop(self, code: int = 130) -> None:
+        self.process.send_signal(signal.SIGINT)
+        assert self.process.wait(40) == code, self.printed()
+
+
+@contextlib.contextmanager
+def running(net: Hosts, config: Path) -> Iterator[Running]:
+    started = Running(net, config)
+    try:
+        yield started
+    finally:
+        if started.process.poll() is None:
+            started.process.send_signal(signal.SIGINT)
+            try:
+                started.process.wait(30)
+            except subprocess.TimeoutExpired:
+                started.process.kill()
+                started.process.wait()

@@ -91,11 +91,17 @@ class Bundle:
         limit = "" if duration is None else f" --duration {duration}"
         return self.script(f"replay --quiet{limit}", lock=True)
 
-    def there(self, files: Mapping[str, bytes]) -> dict[str, bytes]:
-        """Return the files by their paths there; none where it is this machine."""
-        if self.machine.local:
-            return {}
-        return {f"{self.folder}/files{path}": text for path, text in files.items()}
+    async def bring(self, host: Host, files: Mapping[str, bytes]) -> None:
+        """Copy it there, unless it is there; raises HostError and LinkLost."""
+        complete = f"{self.folder}/complete"
+        # The variables of the machine are in it.
+        found = await host.run(
+            f"umask 077; mkdir -p {shlex.quote(self.folder)}; test -e {shlex.quote(complete)}"
+        )
+        if found.status and not self.machine.local:
+            await host.put({f"{self.folder}/files{path}": text for path, text in files.items()})
+        await host.put({f"{self.folder}/start.sh": self.start_script().encode(), complete: b""})
+        await host.run(self.clean_up_command())
 
     def clean_up_command(self) -> str:
         """Return a command that removes earlier copies, all but a few, and the one in use."""

@@ -145,6 +145,7 @@ class Coordinator:
         for name, problem in problems.items():
             _log.warning("%s: %s; the others start without it", name, problem)
             part = self.parts.pop(name)
+            part.put(PartState.FAILED, problem)
             part.close()
         if self.config.discovery is DiscoveryBy.PEERS:
             try:

@@ -200,7 +200,6 @@ class Part:
         Raises HostError and LinkLost.
         """
         assert self._about is not None
-        host = self.host
         files = await asyncio.to_thread(files_of, part, self.machine.copy)
         bundle = Bundle(
             part,
@@ -210,15 +209,7 @@ class Part:
             program=self._program,
             peers=self.peers,
         )
-        complete = f"{bundle.folder}/complete"
-        # The variables of the machine are in it.
-        found = await host.run(
-            f"umask 077; mkdir -p {shlex.quote(bundle.folder)}; test -e {shlex.quote(complete)}"
-        )
-        if found.status:
-            await host.put(bundle.there(files))
-        await host.put({f"{bundle.folder}/start.sh": bundle.start_script().encode(), complete: b""})
-        await host.run(bundle.clean_up_command())
+        await bundle.bring(self.host, files)
         return bundle
 
     async def adopt(self, part: ReplayConfig, bundle: Bundle) -> None:
@@ -410,6 +401,7 @@ class Part:
             self.put(PartState.ENDED, "its session has ended")
             return
         _log.warning("%s: the supervisor of its session was killed", self.name)
+        self.put(PartState.STARTING)
         if self.machine.local or self.machine.service is Service.NONE:
             await self._attach(await self._start())
             return

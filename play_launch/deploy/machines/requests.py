@@ -160,7 +160,7 @@ class Requests:
         """Wait until no machine is on its way any more, or back."""
         begun = {PartState.CONNECTING, PartState.STARTING, PartState.UNREACHABLE}
         with anyio.move_on_after(limit):
-            for part in self._parts.values():
+            for part in tuple(self._parts.values()):
                 while part.state in begun:
                     part.changed.clear()
                     await part.changed.wait()
@@ -310,7 +310,7 @@ class Requests:
 
     async def _bring(self, target: ReplayConfig, arguments: Sequence[str]) -> dict[str, Bundle]:
         found = {}
-        for name, part in self._parts.items():
+        for name, part in tuple(self._parts.items()):
             try:
                 found[name] = await part.bring(part_of(target, name), arguments)
             except (LinkLost, HostError) as error:
