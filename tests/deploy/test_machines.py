@@ -35,6 +35,7 @@ def system(
         f"""\
 version: 1
 name: {name}
+{more}
 environment:
   ROS_AUTOMATIC_DISCOVERY_RANGE: SUBNET
   ROS_DOMAIN_ID: "{os.environ.get("ROS_DOMAIN_ID", "7")}"
@@ -193,6 +194,20 @@ def test_all_machines_end_after_the_duration(net: Hosts, tmp_path: Path) -> None
     assert done.returncode == 0, done.stdout + done.stderr
     assert "[h3 /ticks] tick 1" in done.stdout
     assert not supervisors(net, 2)
+
+
+def test_a_machine_that_ends_while_it_is_cut_has_ended(net: Hosts, tmp_path: Path) -> None:
+    with running(net, system(tmp_path, "timed", more="duration: 5 s\n")) as timed:
+        timed.loaded()
+        net.cut(3)
+        try:
+            until(lambda: not supervisors(net, 3), "the end of its session")
+            until(lambda: "the connection is lost" in timed.printed(), "the lost connection")
+        finally:
+            net.mend(3)
+        assert timed.process.wait(40) == 0, timed.printed()
+        texts = [each.get("text", "") for each in timed.events()]
+        assert len([each for each in texts if "h3: the connection is lost" in each]) == 1
 
 
 def test_a_full_disk_of_a_machine_is_said_before_anything_starts(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -330,5 +331,8 @@ def test_a_watched_configuration_on_a_mount_that_stops_answering_does_not_hold_u
 
 def is_held_up(pid: int) -> bool:
     """Whether a thread of a process waits for the server of a mount."""
-    waits = (task / "wchan" for task in Path(f"/proc/{pid}/task").iterdir())
-    return any("fuse" in wait.read_text() or "request_wait" in wait.read_text() for wait in waits)
+    waits = []
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # a thread that has ended since
+            waits.append((task / "wchan").read_text())
+    return any("fuse" in wait or "request_wait" in wait for wait in waits)

@@ -133,6 +133,11 @@ class Hosts:
             config.append(f"Host h{number}\n  HostName 10.77.0.{number}\n  User root\n")
         (self.home / ".ssh/known_hosts").write_text("\n".join(known) + "\n")
         (self.home / ".ssh/config").write_text("".join(config))
+        for number in range(1, self.count + 1):
+            self._await_sshd(f"h{number}")
+
+    def _await_sshd(self, host: str) -> None:
+        until(lambda: self.ssh(host, "true", code=None) is not None, f"the sshd of {host}")
 
     def _network(self, number: int) -> None:
         """Make the network namespace of a host, and connect it to the switch."""
@@ -217,7 +222,7 @@ class Hosts:
             key = folder.with_suffix(".pub")
             until(key.exists, "its host key")
             known.write_text(f"{known.read_text()}{address} {key.read_text()}")
-        until(lambda: self.ssh(f"root@s{number}", "true", code=None) is not None, "its sshd")
+        self._await_sshd(f"root@s{number}")
 
     def ssh(self, host: str, command: str, code: int | None = 0) -> str | None:
         """Run a command on a host; with ``code`` None, return None where that fails."""

@@ -27,11 +27,15 @@ def finished(
     command: Sequence[object], *, code: int | None = None, **options: Any
 ) -> subprocess.CompletedProcess[str]:
     """Run a program to its end; with ``code``, it has to exit with that."""
-    done = subprocess.run(
-        [*map(str, command)],
-        check=False,
-        **{"capture_output": True, "text": True, "timeout": 120, **options},
-    )
+    try:
+        done = subprocess.run(
+            [*map(str, command)],
+            check=False,
+            **{"capture_output": True, "text": True, "timeout": 120, **options},
+        )
+    except subprocess.TimeoutExpired as hung:
+        hung.add_note(f"It printed: {hung.stdout!r} {hung.stderr!r}")
+        raise
     assert code in {None, done.returncode}, f"{done.returncode}: {done.stdout}{done.stderr}"
     return done
 

@@ -13,7 +13,7 @@ from play_launch.control.protocol import (
     decode,
     encode,
 )
-from play_launch.deploy.machines.hosts import LinkLost
+from play_launch.deploy.machines.hosts import LinkLost, SessionGone
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
@@ -39,12 +39,12 @@ class Channel:
     async def open(cls, host: Host, link: str) -> Channel:
         """Connect to the session of a link.
 
-        Raises LinkLost, ConnectionRefusedError where no session listens, and OperationError.
+        Raises LinkLost, SessionGone where no session listens, and OperationError.
         """
         channel = cls(*await host.open(f"{link}/control.sock"))
         first = await channel._next()
         if first is None:
-            raise ConnectionRefusedError("the session has just ended")
+            raise SessionGone
         if "error" in first:
             raise OperationError.of(first["error"])
         channel.hello = first["hello"]
@@ -57,11 +57,11 @@ class Channel:
         return channel
 
     async def ask(self, operation: str, arguments: object = None) -> Any:
-        """Return the result of an operation; raises OperationError, LinkLost, EOFError."""
+        """Return the result of an operation; raises OperationError, LinkLost, SessionGone."""
         async for message in self.stream(operation, arguments):
             if "result" in message:
                 return message["result"]
-        raise EOFError
+        raise SessionGone
 
     async def stream(
         self, operation: str, arguments: object = None, command: Sequence[str] = ()
@@ -87,6 +87,8 @@ class Channel:
         while not self._lines:
             try:
                 data = await self._reader.read(_PIECE)
+            except ConnectionResetError:  # it ended before it had read a request
+                raise SessionGone from None
             except Exception as error:  # noqa: BLE001 - asyncssh has many
                 raise LinkLost(str(error)) from None
             if not data:

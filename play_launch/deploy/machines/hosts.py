@@ -43,6 +43,9 @@ class LinkLost(Exception):  # noqa: N818 - it is no mistake
 class SessionGone(LinkLost):
     """The session of a machine does not answer, while the machine does."""
 
+    def __init__(self, reason: str = "it has just ended") -> None:
+        super().__init__(f"its session does not answer: {reason}")
+
 
 class Output(NamedTuple):
     """What a command printed."""
@@ -78,7 +81,7 @@ class Host(Protocol):
     async def put(self, files: Mapping[str, bytes]) -> None: ...
     async def get(self, folder: str, target: Path) -> None: ...
     async def open(self, path: str) -> tuple[Reader, Any]:
-        """Connect to a UNIX socket; raises ConnectionRefusedError where nothing listens."""
+        """Connect to the socket of a session; raises SessionGone where nothing listens."""
         ...
 
     def close(self) -> None: ...
@@ -138,7 +141,7 @@ class LocalHost:
         try:
             folder = os.open(os.path.dirname(path), os.O_PATH | os.O_DIRECTORY)  # noqa: PTH120
         except OSError as error:
-            raise ConnectionRefusedError(str(error)) from None
+            raise SessionGone(str(error)) from None
         connection = socket.socket(socket.AF_UNIX)
         connection.setblocking(False)
         try:
@@ -146,7 +149,7 @@ class LocalHost:
             connection.connect(f"/proc/self/fd/{folder}/{Path(path).name}")
         except OSError as error:
             connection.close()
-            raise ConnectionRefusedError(str(error)) from None
+            raise SessionGone(str(error)) from None
         finally:
             os.close(folder)
         return await asyncio.open_unix_connection(sock=connection)
@@ -244,7 +247,7 @@ class SshHost:
             try:
                 return await self._connection.open_unix_connection(path)  # type: ignore[no-any-return]
             except asyncssh.ChannelOpenError as error:
-                raise ConnectionRefusedError(error.reason) from None
+                raise SessionGone(error.reason) from None
 
     def close(self) -> None:
         self._connection.close()
@@ -256,7 +259,7 @@ class SshHost:
 
         try:
             yield
-        except (ConnectionRefusedError, HostError):
+        except HostError:
             raise
         except asyncssh.SFTPError as error:
             lost = isinstance(error, asyncssh.SFTPConnectionLost | asyncssh.SFTPNoConnection)

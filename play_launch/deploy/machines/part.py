@@ -121,21 +121,13 @@ class Part:
         """Connect to its session once more; raises LinkLost and OperationError."""
         if self.state is not PartState.RUNNING:
             raise LinkLost(self.reason or str(self.state))
-        return await self._connected_to(self._link)
-
-    async def _connected_to(self, link: str) -> Channel:
-        try:
-            return await Channel.open(self.host, link)
-        except ConnectionRefusedError as error:
-            raise SessionGone(f"its session does not answer: {error}") from None
+        return await Channel.open(self.host, self._link)
 
     async def ask(self, operation: str, arguments: object = None) -> Any:
         """Raises LinkLost and OperationError."""
         channel = await self.open()
         try:
             return await channel.ask(operation, arguments)
-        except EOFError:
-            raise SessionGone("its session has just ended") from None
         finally:
             channel.close()
 
@@ -168,7 +160,8 @@ class Part:
             try:
                 if self.state is PartState.UNREACHABLE:
                     await self._return()
-                await self._follow()
+                if self.state is PartState.RUNNING:
+                    await self._follow()
             except LinkLost as lost:
                 self._lose(lost)
         with contextlib.suppress(LinkLost):  # its recording is closed
@@ -233,7 +226,7 @@ class Part:
             try:
                 async with asyncio.timeout(_HELLO):
                     channel = await Channel.open(self.host, link)
-            except (ConnectionRefusedError, OperationError):
+            except (SessionGone, OperationError):
                 continue
             except TimeoutError:
                 # It may be this part's, which must not be started twice.
@@ -247,11 +240,9 @@ class Part:
     async def _apply(self, link: str) -> None:
         """Adopt a session, and bring it to this configuration."""
         _log.info("%s: its session runs already and is adopted", self.name)
-        channel = await self._connected_to(link)
+        channel = await Channel.open(self.host, link)
         try:
             await channel.ask("apply", {"path": self.bundle.source, "arguments": self._arguments})
-        except EOFError:
-            raise SessionGone("its session has just ended") from None
         except OperationError as error:
             raise HostError(
                 f"another configuration runs there, and cannot be changed to this one: {error}"
@@ -290,7 +281,7 @@ class Part:
     # A session that runs.
 
     async def _attach(self, link: str) -> None:
-        channel = await self._connected_to(link)
+        channel = await Channel.open(self.host, link)
         channel.close()
         if channel.hello["session"] != self.hello.get("session"):
             if self.hello:
