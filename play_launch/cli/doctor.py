@@ -6,6 +6,7 @@ import json
 import os
 import sys
 from dataclasses import asdict
+from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import wrap
 from typing import TYPE_CHECKING, Final
@@ -63,6 +64,7 @@ def examine() -> list[CheckResult]:
         machine.receive_buffers(),
         machine.discovery(os.environ, rmw),
         machine.domain(os.environ),
+        machine.ssh_config(Path.home() / ".ssh/config"),
         machine.recordings(),
     ]
 

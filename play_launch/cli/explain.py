@@ -157,6 +157,8 @@ def _place(place: DeclaredPlace) -> str:
         parts.append("command " + shorten(" ".join(place.command), 120, placeholder=" ..."))
     if place.config:
         parts.append(f"declared in {place.config}")
+    if place.machine:
+        parts.append(f"on machine {place.machine}")
     return "; ".join(parts)
 
 

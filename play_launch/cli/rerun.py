@@ -102,7 +102,7 @@ def _recorded(session: PastSession) -> RecordedInputs:
             elif message.sequence != topics.REPEATED:
                 # Earlier versions wrote no causes.
                 fields = STATE_EVENT.read(message.data + bytes(32))
-                if fields["kind"] != SubjectKind.RECORDING:
+                if fields["kind"] not in {SubjectKind.RECORDING, SubjectKind.MACHINE}:
                     states.append(fields)
         except (CdrError, UnreadableInputError) as error:
             foreign = foreign or (_FOREIGN if isinstance(error, UnreadableInputError) else "")

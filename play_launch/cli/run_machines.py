@@ -19,7 +19,6 @@ from play_launch.cli.events import text_of
 from play_launch.cli.output import report, surviving_the_loss_of_stdout, warn
 from play_launch.cli.systemd_unit import program
 from play_launch.config.machines import discovery_problems, used_machines
-from play_launch.control.event_words import event_object, words_of
 from play_launch.control.messages import SessionHello
 from play_launch.control.registration import ControlSocket
 from play_launch.control.server import serving
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
     from play_launch.supervisor.events import LogRecord
 
 _log = logging.getLogger(__name__)
-_SHOWN: Final = frozenset(("action", "log", "node", "output", "process"))
+_SHOWN: Final = frozenset(("action", "log", "machine", "node", "output", "process"))
 """Kinds of events that are printed for people: those of containers repeat their processes'."""
 
 
@@ -86,7 +85,9 @@ def run_machines(
         if not as_json:
             names = ", ".join(used_machines(config))
             screen.say(f"{config.name}: {describe(config)} on {names}")
-        coordinator = Coordinator(config, arguments, str(program()), screen.show)
+        coordinator = Coordinator(
+            config, arguments, str(program()), screen.show, session.recorder.publish
+        )
         work = _until_the_end(coordinator, session, control, signals, detach=detach)
         try:
             return asyncio.run(work)
@@ -107,10 +108,10 @@ async def _until_the_end(
     stop = StopRequests()
 
     def publish_log(record: LogRecord) -> None:
-        session.recorder.publish(record)
-        event = event_object(record) | words_of(record)._asdict()
-        with contextlib.suppress(RuntimeError):  # the loop is closed
-            loop.call_soon_threadsafe(coordinator.publish, event)
+        try:
+            loop.call_soon_threadsafe(coordinator.publish, record)
+        except RuntimeError:  # it is closed
+            session.recorder.publish(record)
 
     config = coordinator.config
     hello = SessionHello(

@@ -12,6 +12,7 @@ from play_launch.config.node_key import NodeKey
 from play_launch.config.text import listed
 from play_launch.process.exit import Exit
 from play_launch.recording.console_format import ERROR, INFO, WARN, line_level
+from play_launch.recording.forms import fields_of
 from play_launch.supervisor.endpoints import Endpoint
 from play_launch.supervisor.events import (
     ActionEvent,
@@ -23,6 +24,8 @@ from play_launch.supervisor.events import (
     GraphChanged,
     GroupSample,
     LogRecord,
+    MachineChanged,
+    MachineState,
     ManagedNodeChanged,
     ManagedState,
     NodeState,
@@ -35,7 +38,6 @@ from play_launch.supervisor.events import (
     RunEvent,
     SystemSample,
     Withdrawn,
-    fields_of,
 )
 
 OWN_NAME = "play-launch"
@@ -46,6 +48,7 @@ _ERRORS = frozenset(
         NodeState.GAVE_UP,
         ContainerState.GAVE_UP,
         ProcessEventKind.GAVE_UP,
+        MachineState.FAILED,
     }
 )
 _WARNINGS = frozenset(
@@ -54,8 +57,10 @@ _WARNINGS = frozenset(
         ContainerState.KILLING,
         ContainerState.BACKOFF,
         ProcessEventKind.RESTARTING,
+        MachineState.UNREACHABLE,
     }
 )
+_OVER: Final = frozenset({MachineState.ENDED, MachineState.FAILED})
 _NODE: Final = {
     NodeState.LOAD_FAILED: "failed to load",
     NodeState.GAVE_UP: "is not loaded again",
@@ -105,6 +110,10 @@ def words_of(event: RunEvent) -> EventText:
             is_known = event.state not in {ManagedState.ABSENT, ManagedState.ASKED}
             text = f"is {event.state}" if is_known else "lifecycle state unknown"
             return EventText(INFO, event.node, text)
+        case MachineChanged():
+            state = f"{'has' if event.state in _OVER else 'is'} {event.state}"
+            text = because(f"{event.machine} {state}", event.reason)
+            return EventText(_level(event.state), OWN_NAME, text)
         case GraphChanged():
             changes = [f"+ {name}" for name in event.appeared]
             changes += [f"- {name}" for name in event.vanished]
@@ -174,7 +183,9 @@ def because(what: str, reason: str) -> str:
     return f"{what}: {reason}" if reason else what
 
 
-def _level(state: NodeState | ContainerState | ProcessEventKind, default: int = INFO) -> int:
+def _level(
+    state: NodeState | ContainerState | ProcessEventKind | MachineState, default: int = INFO
+) -> int:
     return ERROR if state in _ERRORS else WARN if state in _WARNINGS else default
 
 
@@ -191,6 +202,7 @@ EVENT_TYPES: Final[dict[type[RunEvent], str]] = {
     Withdrawn: "withdrawn",
     ActionEvent: "action",
     ManagedNodeChanged: "managed",
+    MachineChanged: "machine",
     RecordingInterrupted: "recording_interrupted",
     ProcessSample: "process_sample",
     GroupSample: "group_sample",
@@ -250,5 +262,7 @@ def names_of(event: RunEvent) -> tuple[str, ...]:
             return event.targets
         case ManagedNodeChanged():
             return (event.node,)
+        case MachineChanged():
+            return (event.machine,)
         case _:
             return ()

@@ -156,6 +156,8 @@ class UnitRow(Struct, frozen=True, kw_only=True):
     """of one core, in the last second; null without a process of its own, without sampling (`record.sampling`), or just after a start"""  # noqa: E501
     memory_bytes: int | None
     """null also where the memory is the container's"""
+    machine: str | UnsetType = UNSET
+    """on which of [several machines](machines.md); missing in a system of one"""
     memory_kind: Literal["unknown", "pss", "rss", "shared"] | None
     """`pss`, `rss`, `shared` (the container's), `unknown` or null"""
     cgroup: GroupUsage | UnsetType | None = UNSET

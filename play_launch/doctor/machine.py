@@ -64,6 +64,22 @@ _IPC_LOCK: Final = 14
 """Number of the capability, see capabilities(7), as the next one."""
 _SYS_NICE: Final = 23
 
+_NOT_IN_ASYNCSSH: Final = frozenset(
+    (
+        "bindinterface",
+        "controlmaster",
+        "controlpath",
+        "knownhostscommand",
+        "proxyusefdpass",
+        "pubkeyacceptedalgorithms",
+        "revokedhostkeys",
+        "securitykeyprovider",
+        "stricthostkeychecking",
+        "verifyhostkeydns",
+    )
+)
+"""Keys of ssh_config that decide whether a login works, and that asyncssh does not read."""
+
 
 def _has_capability(number: int) -> bool:
     """Whether it is effective; False where that cannot be read."""
@@ -254,6 +270,24 @@ def loopback(environ: Mapping[str, str]) -> CheckResult:
             "ip link set lo multicast on",
         )
     return ok("loopback", "works")
+
+
+def ssh_config(path: Path) -> CheckResult:
+    """Name what OpenSSH reads in ``~/.ssh/config``, and connections to machines do not."""
+    words = {
+        words[0].lower(): words[0]
+        for line in _text(path).splitlines()
+        if (words := line.replace("=", " ").split())
+    }
+    ignored = [word for key, word in words.items() if key in _NOT_IN_ASYNCSSH]
+    if ignored:
+        return warn(
+            "ssh",
+            f"{path} has {', '.join(sorted(ignored))}, which `machines:` ignores",
+            "a machine that `ssh` reaches may be unknown, or refuse the login",
+            "give the key itself (IdentityFile, or an agent), and its host key in known_hosts",
+        )
+    return ok("ssh", f"`machines:` reads all of {path}" if words else f"{path} is empty")
 
 
 def _datagram_arrives() -> bool:

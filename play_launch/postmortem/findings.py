@@ -39,6 +39,8 @@ class DeclaredPlace(Struct, frozen=True, kw_only=True):
     """``robot.yaml:12``: where it is declared."""
     command: tuple[str, ...] = ()
     """Of an ordinary process or a container."""
+    machine: str = ""
+    """Where it runs, in a system of several machines."""
 
 
 class Finding(Struct, frozen=True, kw_only=True):
@@ -126,6 +128,7 @@ def _place(
         container=declared.container or known.container,
         config=declared.config,
         command=declared.command or commands.get(key, ()),
+        machine=declared.machine,
     )
 
 
@@ -141,8 +144,8 @@ def declared_places(attachments: Mapping[str, Attachment]) -> dict[str, Declared
 def _places(config: dict[str, Any]) -> Iterator[tuple[str, DeclaredPlace]]:
     source = str(config.get("source", ""))
     for container in config.get("containers", ()):
-        name = container["full_name"]
-        yield name, DeclaredPlace(config=_line(container, source))
+        name, machine = container["full_name"], str(container.get("machine") or "")
+        yield name, DeclaredPlace(config=_line(container, source), machine=machine)
         for node in container.get("composable_nodes", ()):
             yield (
                 node["key"],
@@ -151,6 +154,7 @@ def _places(config: dict[str, Any]) -> Iterator[tuple[str, DeclaredPlace]]:
                     plugin=node["plugin"],
                     container=name,
                     config=_line(node, source),
+                    machine=machine,
                 ),
             )
     for process in config.get("nodes", ()):
@@ -161,6 +165,7 @@ def _places(config: dict[str, Any]) -> Iterator[tuple[str, DeclaredPlace]]:
                 package=process.get("package") or "",
                 config=_line(process, source),
                 command=tuple(map(str, command)),
+                machine=str(process.get("machine") or ""),
             ),
         )
 

@@ -37,6 +37,7 @@ from play_launch.supervisor.events import (
     ContainerStateChanged,
     GraphChanged,
     LogRecord,
+    MachineChanged,
     NodeState,
     NodeStateChanged,
     ProcessEvent,
@@ -79,6 +80,7 @@ class Timeline:
         self.events: list[FailureEvent] = []
         self.events_left_out = self.changes_left_out = 0
         self.interruptions: list[RecordingInterrupted] = []
+        self.machines: dict[str, list[MachineChanged]] = {}
         self.samples = Samples()
         self.groups: dict[str, GroupUse] = {}
         """By the keys of their units."""
@@ -171,6 +173,8 @@ class Timeline:
                     self._reports[event.unique_id, event.attempt] = event
             case RecordingInterrupted():
                 self.interruptions.append(event)
+            case MachineChanged():
+                self.machines.setdefault(event.machine, []).append(event)
             case Withdrawn():
                 self.unit(event.kind, event.key).is_withdrawn = True
             case GraphChanged():

@@ -32,6 +32,8 @@ from play_launch.supervisor.events import (
     GraphChanged,
     GroupSample,
     LogRecord,
+    MachineChanged,
+    MachineState,
     ManagedNodeChanged,
     ManagedState,
     MemoryKind,
@@ -46,7 +48,6 @@ from play_launch.supervisor.events import (
     SubjectKind,
     SystemSample,
     Withdrawn,
-    fields_of,
 )
 from play_launch.supervisor.outcome import Cause, Sequel
 
@@ -57,6 +58,12 @@ if TYPE_CHECKING:
     from play_launch.container.cdr.layout import Layout
 
 _Event = TypeVar("_Event")
+
+
+def fields_of(event: type[object]) -> tuple[str, ...]:
+    """Name the fields of events of a class."""
+    found = getattr(event, "__struct_fields__", ()) or getattr(event, "__dataclass_fields__", ())
+    return tuple(found)
 
 
 class Column(NamedTuple):
@@ -245,6 +252,14 @@ _MANAGED: Final = Form(
     _word("state", ManagedState),
     besides=lambda _event: {"kind": SubjectKind.MANAGED},
 )
+_MACHINE: Final = Form(
+    MachineChanged,
+    topics.STATES,
+    STATE_EVENT,
+    Column("machine", "key"),
+    _word("state", MachineState),
+    besides=lambda event: {"kind": SubjectKind.MACHINE, "name": event.machine},
+)
 INTERRUPTED_STATE: Final = "interrupted"
 _INTERRUPTED: Final = Form(
     RecordingInterrupted,
@@ -260,6 +275,7 @@ STATES: Final[dict[SubjectKind, Form[Any]]] = {
     SubjectKind.PROCESS: _PROCESS,
     SubjectKind.MANAGED: _MANAGED,
     SubjectKind.RECORDING: _INTERRUPTED,
+    SubjectKind.MACHINE: _MACHINE,
 }
 """By what they are about; all have the same layout."""
 _FORMS: Final[dict[type, Form[Any]]] = {
@@ -284,6 +300,8 @@ _FAILED: Final = frozenset(
         NodeState.LOST,
         ContainerState.GAVE_UP,
         ManagedState.FAILED,
+        MachineState.UNREACHABLE,
+        MachineState.FAILED,
     }
 )
 
@@ -303,7 +321,7 @@ def is_failure(event: RunEvent) -> bool:
             )
         case LogRecord():
             return event.level >= ERROR
-        case NodeStateChanged() | ContainerStateChanged() | ManagedNodeChanged():
+        case NodeStateChanged() | ContainerStateChanged() | ManagedNodeChanged() | MachineChanged():
             return event.state in _FAILED
         case _:
             return False

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 LOGGER_NAME: Final = "play_launch"
 """The logger above all of this package's."""
 
+REPORTED_LOGGER: Final = "play_launch.reported"
+"""Logger for what an event reports as well: recorded, but shown once only."""
+
 MOST_WAITING: Final = 10_000
 """Records of other loggers that wait to be published."""
 

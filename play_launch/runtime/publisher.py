@@ -6,8 +6,8 @@ import logging
 import time
 from typing import TYPE_CHECKING
 
+from play_launch.recording.log_handler import REPORTED_LOGGER
 from play_launch.supervisor.events import (
-    REPORTED_LOGGER,
     ComponentEvent,
     ContainerState,
     NodeState,

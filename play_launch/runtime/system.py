@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import anyio
 
 from play_launch.container.messages import Cancel, Unload
+from play_launch.recording.log_handler import REPORTED_LOGGER
 from play_launch.runtime.container_actor import ContainerActor
 from play_launch.runtime.outside import Conversation, Outside
 from play_launch.runtime.process_actor import ProcessActor, Tasks
@@ -21,7 +22,7 @@ from play_launch.runtime.publisher import EventLog
 from play_launch.supervisor import inputs
 from play_launch.supervisor.conditions import awaited_dependencies, has_ended, pending_units
 from play_launch.supervisor.difference import events_since
-from play_launch.supervisor.events import REPORTED_LOGGER, ManagedState
+from play_launch.supervisor.events import ManagedState
 from play_launch.supervisor.plan import StepOutcome
 from play_launch.supervisor.reducer import deadline, reduce
 from play_launch.supervisor.world import STATE_OF_PHASE, Limits, Phase, World, is_wanted

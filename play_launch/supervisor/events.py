@@ -1,8 +1,7 @@
 """Everything that can happen in a run, as immutable values.
 
-These are the only things that actors publish: the live view, the summary, the exit code
-and the recording are all derived from this one stream. The numbers of the enumerations are those
-of the ``play_launch_msgs`` messages, so that they can go to the wire and the recording unchanged.
+Live view, summary, exit code and recording follow from this one stream. Enumerations have the
+numbers of the ``play_launch_msgs`` messages.
 
 Units: ``stamp_ns`` is wall-clock time in nanoseconds since the epoch; ``elapsed_ns`` and
 ``cpu_time_ns`` are durations in nanoseconds; ``start_time`` is in clock ticks after boot
@@ -117,6 +116,7 @@ class SubjectKind(IntEnum):
     MANAGED = 3
     """A managed node, beside what it is otherwise."""
     RECORDING = 4
+    MACHINE = 5
 
 
 class MemoryKind(IntEnum):
@@ -284,10 +284,8 @@ class Withdrawn(_Event, frozen=True, kw_only=True):
 
 
 class GraphChanged(_Event, frozen=True, kw_only=True):
-    """Nodes, of this system or others, appeared in the domain's graph, or left it."""
+    """Nodes, of this system or others, came to the domain's graph or left it, up to 0.5 s ago."""
 
-    stamp_ns: int
-    """When it was noticed, up to half a second after it happened."""
     appeared: tuple[str, ...]
     """Full names, one for each node that bears it."""
     vanished: tuple[str, ...]
@@ -309,6 +307,25 @@ class ManagedNodeChanged(_Event, frozen=True, kw_only=True):
     """Why it failed; else empty."""
 
 
+class MachineState(StrEnum):
+    """State of the part of a system that runs on one of several machines."""
+
+    CONNECTING = "connecting"
+    STARTING = "starting"
+    RUNNING = "running"
+    UNREACHABLE = "unreachable"
+    ENDED = "ended"
+    FAILED = "failed"
+
+
+class MachineChanged(_Event, frozen=True, kw_only=True):
+    """The part of one of several machines is in another state."""
+
+    machine: str
+    state: MachineState
+    reason: str = ""
+
+
 class ActionEvent(_Event, frozen=True, kw_only=True):
     """An operator's request to the running system, or its result."""
 
@@ -328,10 +345,9 @@ class ActionEvent(_Event, frozen=True, kw_only=True):
     """Why it failed; of a request, what was asked for besides."""
 
 
-class ProcessSample(Struct, frozen=True, kw_only=True):
+class ProcessSample(_Event, frozen=True, kw_only=True):
     """What the process of a container, of an isolated node or of its own used up to now."""
 
-    stamp_ns: int
     kind: SubjectKind
     key: str
     """As in the changes of state: ``/container:/node`` for a composable node, else the name."""
@@ -353,10 +369,9 @@ class ProcessSample(Struct, frozen=True, kw_only=True):
     involuntary_switches: int
 
 
-class GroupSample(Struct, frozen=True, kw_only=True):
+class GroupSample(_Event, frozen=True, kw_only=True):
     """What a control group used since it was made; NaN and 0 where a controller is not in use."""
 
-    stamp_ns: int
     kind: SubjectKind
     key: str
     """As in `ProcessSample`; the group of a container has its isolated nodes in it as well."""
@@ -380,13 +395,12 @@ class GroupSample(Struct, frozen=True, kw_only=True):
     """Processes and threads that could not be started because of ``pids_max``."""
 
 
-class SystemSample(Struct, frozen=True, kw_only=True):
+class SystemSample(_Event, frozen=True, kw_only=True):
     """What the machine was doing; NaN or 0 where the kernel offers no such number.
 
     Percentages are of the time since the sample before, sizes are in bytes.
     """
 
-    stamp_ns: int
     cpu_percent: float
     """0 to 100, of all cores together."""
     core_percent: tuple[float, ...]
@@ -431,15 +445,6 @@ RunEvent = (
     | GraphChanged
     | ActionEvent
     | ManagedNodeChanged
+    | MachineChanged
     | RecordingInterrupted
 )
-
-
-def fields_of(event: type[object]) -> tuple[str, ...]:
-    """Name the fields of events of a class."""
-    found = getattr(event, "__struct_fields__", ()) or getattr(event, "__dataclass_fields__", ())
-    return tuple(found)
-
-
-REPORTED_LOGGER: Final = "play_launch.reported"
-"""Logger for what an event reports as well: recorded, but shown once only."""

@@ -14,6 +14,7 @@ from benchmarks.browser import find_browser
 from play_launch.postmortem.session import PastSession
 from play_launch.postmortem.timeline import read_timeline
 from play_launch.supervisor.outcome import Cause
+from tests.support.hosts import missing
 
 ROOT = Path(__file__).parents[2]
 
@@ -72,3 +73,10 @@ def test_what_does_not_exist_is_refused(option: str) -> None:
     command = [sys.executable, "-m", "benchmarks.crash", option, "boredom"]
     result = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
     assert result.returncode != 0
+
+
+@pytest.mark.skipif(bool(missing()), reason=missing())
+def test_several_machines_lose_no_line() -> None:
+    found = json.loads(run("machines", "--runs=1", "--cuts=1", "--containers=1", "--json"))
+    assert found["ticks"] > 10
+    assert found["lost"] == 0

@@ -118,7 +118,7 @@ def test_plain_lines_have_a_time_and_a_source() -> None:
 
 @pytest.mark.parametrize("quiet", [True, False])
 def test_samples_are_not_shown_nor_output_where_it_is_quiet(quiet: bool) -> None:
-    values: dict[str, Any] = dict.fromkeys(ProcessSample.__annotations__, 0)
+    values: dict[str, Any] = dict.fromkeys(ProcessSample.__struct_fields__, 0)
     style = StubStyle()
     shower = Display(style, quiet=quiet)
     events: list[RunEvent] = [output("x"), node("/c", 0, NodeState.LOADED)]

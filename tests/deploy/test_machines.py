@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -143,6 +144,7 @@ def test_the_recordings_of_all_machines_become_one(net: Hosts, tmp_path: Path) -
     )
     assert "/talker" in explained.stdout
     assert "SIGSEGV" in explained.stdout
+    assert re.search(r"declared in whole.yaml:\d+; on machine h2\.", explained.stdout)
     with make_reader_of(folder / "all-machines.mcap") as reader:
         times = [message.log_time for _, _, message in reader.iter_messages(log_time_order=False)]
         assert times == sorted(times)
@@ -171,6 +173,9 @@ def test_a_cut_loses_no_line_and_stops_nothing(net: Hosts, tmp_path: Path) -> No
         until(lambda: cut.ticks()[-1] > seen, "the next line")
         assert cut.ticks() == list(range(1, cut.ticks()[-1] + 1))
         cut.stop()
+    explained = net.run("explain", code=1).stdout
+    assert "machine h3 could not be reached at " in explained
+    assert "\n  Cause: the connection is lost: " in explained
 
 
 def test_a_stop_amid_the_start_leaves_nothing(net: Hosts, tmp_path: Path) -> None:
@@ -202,12 +207,12 @@ def test_a_machine_that_ends_while_it_is_cut_has_ended(net: Hosts, tmp_path: Pat
         net.cut(3)
         try:
             until(lambda: not supervisors(net, 3), "the end of its session")
-            until(lambda: "the connection is lost" in timed.printed(), "the lost connection")
+            until(lambda: "h3 is unreachable" in timed.printed(), "the lost connection")
         finally:
             net.mend(3)
         assert timed.process.wait(40) == 0, timed.printed()
         texts = [each.get("text", "") for each in timed.events()]
-        assert len([each for each in texts if "h3: the connection is lost" in each]) == 1
+        assert len([each for each in texts if "h3 is unreachable" in each]) == 1
 
 
 def test_a_full_disk_of_a_machine_is_said_before_anything_starts(

@@ -154,6 +154,12 @@ BREAKS: Final = {
         "if False",
         test_detect.test_what_the_kernel_kills_and_refuses_for_limits,
     ),
+    "machine_lost": Break(
+        failures._machines,
+        "*changes[1:], None",
+        "*changes[:-1], None",
+        test_detect.test_machines_that_were_lost,
+    ),
     "pids_max": Break(
         resources._limited,
         "if group.refused_times",

@@ -7,8 +7,15 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.cli.explain import details, headline
-from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind
-from tests.postmortem.scenes import Scene, ns
+from play_launch.postmortem.units import Downtime
+from play_launch.supervisor.events import (
+    ContainerState,
+    MachineChanged,
+    MachineState,
+    NodeState,
+    ProcessEventKind,
+)
+from tests.postmortem.scenes import SECOND, Scene, ns
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -49,6 +56,27 @@ def test_what_the_kernel_kills_and_refuses_for_limits(tmp_path: Path) -> None:
     assert (oom.kind, oom.name, oom.times_ns) == ("oom", "/mapper", (ns(4), ns(7)))
     assert "processes killed: 3; that is, " in text_of(oom)[1]
     assert (refused.kind, refused.name, refused.times_ns) == ("pids_max", "/mapper", (ns(10),))
+
+
+def test_machines_that_were_lost(tmp_path: Path) -> None:
+    scene = Scene()
+    for at, machine, state, reason in (
+        (1, "h2", MachineState.RUNNING, ""),
+        (2, "h2", MachineState.UNREACHABLE, "timeout"),
+        (4, "h2", MachineState.RUNNING, ""),
+        (6, "h2", MachineState.UNREACHABLE, "timeout"),
+        (7, "h3", MachineState.FAILED, "no such host"),
+    ):
+        scene.events.append(
+            MachineChanged(stamp_ns=ns(at), machine=machine, state=state, reason=reason)
+        )
+    lost, failed = scene.story(tmp_path).findings
+    assert text_of(lost) == (
+        "machine h2 could not be reached 2 times, first at 2.000 s after the start.",
+        "Cause: timeout.",
+    )
+    assert lost.away == (Downtime("h2", 2 * SECOND), Downtime("h2", None))
+    assert text_of(failed)[0] == "machine h3 could not be used at 7.000 s after the start."
 
 
 @pytest.mark.parametrize(("pause", "is_loop"), [(2, True), (20, False)])

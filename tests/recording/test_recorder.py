@@ -57,7 +57,7 @@ def record(number: int, level: int = 20) -> LogRecord:
 
 
 def sample(name: str) -> ProcessSample:
-    values = dict.fromkeys(ProcessSample.__annotations__, 0)
+    values = dict.fromkeys(ProcessSample.__struct_fields__, 0)
     return ProcessSample(**{**values, "key": name, "kind": SubjectKind.PROCESS})  # type: ignore[arg-type]
 
 

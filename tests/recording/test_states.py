@@ -28,6 +28,8 @@ from play_launch.supervisor.events import (
     ContainerStateChanged,
     GraphChanged,
     GroupSample,
+    MachineChanged,
+    MachineState,
     MemoryKind,
     NodeState,
     NodeStateChanged,
@@ -62,6 +64,13 @@ OLD_STATE_EVENT = Layout(
     " ".join(f"{name}:{kind}" for name, kind in STATE_EVENT.types.items() if name not in OUTCOMES)
 )
 
+MACHINES = structs(
+    MachineChanged,
+    stamp_ns=STAMPS,
+    machine=NAMES,
+    state=st.sampled_from(MachineState),
+    reason=TEXTS,
+)
 EVENTS = st.one_of(
     structs(
         NodeStateChanged,
@@ -195,7 +204,16 @@ def test_states_of_an_earlier_version_have_no_cause(
 
 
 @settings(deadline=None, max_examples=100)
-@given(st.one_of(EVENTS, GRAPH_CHANGES, PROCESS_SAMPLES, GROUP_SAMPLES, SYSTEM_SAMPLES))
+@given(
+    st.one_of(
+        EVENTS,
+        GRAPH_CHANGES,
+        PROCESS_SAMPLES,
+        GROUP_SAMPLES,
+        SYSTEM_SAMPLES,
+        structs(MachineChanged, stamp_ns=STAMPS, machine=NAMES, reason=TEXTS),
+    )
+)
 def test_our_own_reader_gives_the_event_back(event: RunEvent) -> None:
     ((topic, data, _),) = convert(event)
     read = RecordedTopic(

@@ -11,8 +11,8 @@ from msgspec import Struct
 from play_launch.cli.output import RED, RESET, YELLOW, clock, printable
 from play_launch.control.event_words import OWN_NAME, words_of
 from play_launch.recording.console_format import ERROR, INFO, WARN
+from play_launch.recording.log_handler import REPORTED_LOGGER
 from play_launch.supervisor.events import (
-    REPORTED_LOGGER,
     ActionEvent,
     ActionPhase,
     ContainerState,

@@ -108,7 +108,7 @@ class TopApp(App[ScreenEnd]):
         self._follows_log = True
         self._message = ""
         self._is_stale = True
-        self._layout: tuple[int, int] = (0, 0)
+        self._layout: tuple[int, ...] = ()
         self._drawn: list[tuple[Target, list[Text]]] = []
         self._footer: tuple[object, ...] = ()
 
@@ -337,22 +337,25 @@ class TopApp(App[ScreenEnd]):
 
     def _draw_table(self) -> None:
         table = self._table
-        width = table.size.width
+        machine_cells = model.machine_width(self.rows or ())
+        width = table.size.width - machine_cells
         is_tree = self.order is model.Order.DECLARED and not self.is_reversed
         names = [model.name_of(row, is_tree=is_tree) for row in self.shown]
         name_cells, last = model.name_width(names, width), self._last.last
         drawn = [
-            (target, model.cells_of(row, name, name_cells, last.get(target, "")))
+            (target, model.cells_of(row, name, name_cells, last.get(target, ""), machine_cells))
             for row, name in zip(self.shown, names, strict=True)
             for target in (target_of(row),)
         ]
-        if self._layout != (width, name_cells):
-            self._layout = width, name_cells
+        if self._layout != (width, name_cells, machine_cells):
+            self._layout = width, name_cells, machine_cells
             self._drawn = []
             table.clear(columns=True)
             rest = max(width - name_cells - sum(model.WIDTHS.values()), 12)
-            for title, size in {"NAME": name_cells, **model.WIDTHS, " LAST LINE": rest}.items():
-                is_figure = title not in {"NAME", "STATE", " LAST LINE"}
+            machine = {"MACHINE": machine_cells} if machine_cells else {}
+            columns = {**machine, "NAME": name_cells, **model.WIDTHS, " LAST LINE": rest}
+            for title, size in columns.items():
+                is_figure = title not in {"MACHINE", "NAME", "STATE", " LAST LINE"}
                 table.add_column(Text(title, justify="right" if is_figure else "left"), width=size)
         if [target for target, _ in drawn] == [target for target, _ in self._drawn]:
             for y, ((_, new), (_, old)) in enumerate(zip(drawn, self._drawn, strict=True)):

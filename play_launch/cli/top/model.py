@@ -113,14 +113,16 @@ def matching(rows: Iterable[UnitRow], pattern: str) -> list[UnitRow]:
     Args:
         rows: All rows.
         pattern: A part of the full name, case-insensitive; with ``*``, ``?`` or ``[`` a pattern
-            of all of it; with a colon, of ``/container:/node`` instead. Empty: all.
+            of all of it; with a colon, of ``/container:/node`` instead. Empty: all. The name of a
+            machine chooses its rows.
     """
     wanted = pattern.strip().lower()
     is_pattern = any(character in wanted for character in "*?[")
     found: list[UnitRow] = []
     for row in rows:
         name = (str(target_of(row)) if ":" in wanted else row.name).lower()
-        if not wanted or (fnmatchcase(name, wanted) if is_pattern else wanted in name):
+        matches = fnmatchcase(name, wanted) if is_pattern else wanted in name
+        if not wanted or matches or wanted == (row.machine or "").lower():
             found.append(row)
     return found
 
@@ -138,11 +140,18 @@ def counted(rows: Sequence[UnitRow]) -> str:
 WIDTHS: Final = {"STATE": 12, "PID": 7, "UP": 7, "RST": 5, "CPU%": 6, "MEM": 6}
 """Columns of fixed width, gap included; name and last line share the rest."""
 _NAME_LEAST: Final = 16
+_MACHINE_MOST: Final = 12
 
 
 def name_of(row: UnitRow, *, is_tree: bool) -> str:
     """Return the clean name; in the tree, nodes are indented below their container."""
     return f"{'  ' if is_tree and row.container else ''}{clean(row.name)}"
+
+
+def machine_width(rows: Iterable[UnitRow]) -> int:
+    """Choose the width of the column of machines; 0 for a system of one."""
+    longest = max((cell_len(row.machine or "") for row in rows), default=0)
+    return min(longest, _MACHINE_MOST) + 1 if longest else 0
 
 
 def name_width(names: Iterable[str], width: int) -> int:
@@ -152,7 +161,9 @@ def name_width(names: Iterable[str], width: int) -> int:
     return max(min(longest, int(left * 0.6)), _NAME_LEAST)
 
 
-def cells_of(row: UnitRow, name: str, width: int, last_line: str) -> list[Text]:
+def cells_of(
+    row: UnitRow, name: str, width: int, last_line: str, machine_cells: int = 0
+) -> list[Text]:
     """Make the cells of a row; a name too long for its width loses its beginning."""
     if cell_len(name) >= width:
         name = f"…{set_cell_size(name[::-1], width - 2)[::-1]}"
@@ -163,7 +174,9 @@ def cells_of(row: UnitRow, name: str, width: int, last_line: str) -> list[Text]:
         "-" if row.cpu_percent is None else f"{row.cpu_percent:.1f}"[:5].rstrip("."),
         memory(row.memory_bytes),
     )
+    machine = clean(row.machine or "")[: max(machine_cells - 1, 0)]
     return [
+        *([Text(machine)] if machine_cells else []),
         Text(name),
         Text(clean(row.state), health(row).value),
         *(Text(figure, justify="right") for figure in figures),

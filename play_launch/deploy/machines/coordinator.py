@@ -11,16 +11,19 @@ import anyio
 
 from play_launch import ExitCode
 from play_launch.config.machines import DiscoveryBy, part_of, stopped_after, used_machines
+from play_launch.control.event_words import event_object, words_of
 from play_launch.control.protocol import OperationError
 from play_launch.deploy.machines.hosts import HostError, LinkLost
-from play_launch.deploy.machines.part import Part, PartState
+from play_launch.deploy.machines.part import Part
 from play_launch.deploy.machines.requests import Requests
 from play_launch.deploy.unit import stop_seconds
+from play_launch.supervisor.events import MachineState
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Sequence
 
     from play_launch.config.model import ReplayConfig
+    from play_launch.supervisor.events import RunEvent
 
     Show = Callable[[str, dict[str, Any]], None]
     """Shows an event of a machine."""
@@ -37,11 +40,17 @@ class Coordinator:
     """The parts of a system. Belongs to the thread of the event loop."""
 
     def __init__(
-        self, config: ReplayConfig, arguments: Sequence[str], program: str, show: Show
+        self,
+        config: ReplayConfig,
+        arguments: Sequence[str],
+        program: str,
+        show: Show,
+        record: Callable[[RunEvent], None],
     ) -> None:
         """Prepare; ``program`` is play-launch on this machine."""
         self.config = config
         self._show = show
+        self._record = record
         self._met_changed = asyncio.Event()
         self._ended = asyncio.Event()
         self._over = asyncio.Event()
@@ -51,6 +60,8 @@ class Coordinator:
             name: Part(part_of(config, name), arguments, program, self._take, self._met_changed.set)
             for name in used_machines(config)
         }
+        for part in self.parts.values():
+            part.publish = self.publish
         self.requests = Requests(self.parts)
         self.on_change: Callable[[], None] = lambda: None
         """Called when the state of a machine has changed."""
@@ -85,12 +96,13 @@ class Coordinator:
             part.close()
         return code
 
-    def publish(self, event: dict[str, Any]) -> None:
+    def publish(self, event: RunEvent) -> None:
         """Take an event of the coordinator itself."""
-        self._take("", event)
+        self._record(event)
+        self._take("", event_object(event) | words_of(event)._asdict())
 
     def _take(self, machine: str, event: dict[str, Any]) -> None:
-        event = {**event, "machine": machine}
+        event = {"machine": machine, **event}
         self.requests.take(event)
         self._show(machine, event)
 
@@ -112,7 +124,7 @@ class Coordinator:
         """Wait until all units of all machines are up, or failed for good."""
 
         async def loaded(part: Part) -> None:
-            while part.state is not PartState.RUNNING:
+            while part.state is not MachineState.RUNNING:
                 part.changed.clear()
                 await part.changed.wait()
             with contextlib.suppress(OperationError, LinkLost):
@@ -145,7 +157,7 @@ class Coordinator:
         for name, problem in problems.items():
             _log.warning("%s: %s; the others start without it", name, problem)
             part = self.parts.pop(name)
-            part.put(PartState.FAILED, problem)
+            part.put(MachineState.FAILED, problem)
             part.close()
         if self.config.discovery is DiscoveryBy.PEERS:
             try:
@@ -175,7 +187,6 @@ class Coordinator:
         try:
             await part.run()
         except HostError as error:
-            _log.error("%s: %s", part.name, error)
             self._fail(part, error)
         except Exception as error:  # noqa: BLE001 - the other machines continue
             _log.exception("%s cannot be accompanied any more", part.name)
@@ -183,10 +194,10 @@ class Coordinator:
 
     def _fail(self, part: Part, error: Exception) -> None:
         self._failures[part.name] = str(error)
-        part.put(PartState.FAILED, str(error))
+        part.put(MachineState.FAILED, str(error))
 
     async def _watch_for_the_end(self) -> None:
-        over = {PartState.ENDED, PartState.FAILED}
+        over = {MachineState.ENDED, MachineState.FAILED}
         while True:
             for part in self.parts.values():
                 part.changed.clear()
@@ -211,18 +222,18 @@ class Coordinator:
                 for name in sorted(now):
                     part = self.parts[name]
                     tasks.start_soon(part.stop, float(stop_seconds(part.config)))
-        lost = any(each.state is PartState.UNREACHABLE for each in self.parts.values())
+        lost = any(each.state is MachineState.UNREACHABLE for each in self.parts.values())
         with anyio.move_on_after(0 if lost else _CLOSING):
             await self._over.wait()
         for part in self.parts.values():
-            if part.state is PartState.UNREACHABLE:
+            if part.state is MachineState.UNREACHABLE:
                 _log.error("%s could not be stopped: %s", part.name, part.reason)
 
     def _exit_code(self) -> int:
         rows = [row for part in self.parts.values() for row in part.rows]
         if self._failures or any(row["state"] in _FAILED for row in rows):
             return ExitCode.NODE_FAILED
-        if any(part.state is PartState.UNREACHABLE for part in self.parts.values()):
+        if any(part.state is MachineState.UNREACHABLE for part in self.parts.values()):
             return ExitCode.NODES_MISSING
         return ExitCode.OK
 

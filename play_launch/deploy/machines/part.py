@@ -8,7 +8,6 @@ import logging
 import math
 import shlex
 import time
-from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final
 
 import anyio
@@ -19,6 +18,7 @@ from play_launch.control.protocol import OperationError
 from play_launch.deploy.machines.bundle import BUSY, Bundle, files_of, require_fit
 from play_launch.deploy.machines.channel import Channel, clock_offset
 from play_launch.deploy.machines.hosts import HostError, LinkLost, SessionGone, about, connect
+from play_launch.supervisor.events import MachineChanged, MachineState
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Sequence
@@ -46,18 +46,6 @@ _UNTIL_GONE: Final = """\
 for i in $(seq 1000); do kill -0 {pid} 2> /dev/null || break; sleep 0.05; done"""
 
 
-class PartState(StrEnum):
-    """State of the part of one machine."""
-
-    CONNECTING = "connecting"
-    STARTING = "starting"
-    RUNNING = "running"
-    UNREACHABLE = "unreachable"
-    """Its session runs on, as far as is known."""
-    ENDED = "ended"
-    FAILED = "failed"
-
-
 class Part:
     """Accompanies the session of one machine, from its start to its end."""
 
@@ -73,7 +61,7 @@ class Part:
         self.machine: MachineConfig = part.machines[part.machine]
         self.name = part.machine
         self.config = part
-        self.state = PartState.CONNECTING
+        self.state = MachineState.CONNECTING
         self.reason = ""
         self.since_ns = time.time_ns()
         self.rows: list[dict[str, Any]] = []
@@ -100,6 +88,8 @@ class Part:
         """Whether its rows may have changed."""
         self.ends_all = False
         """Whether a rule of it ends the whole system: `on_exit: shutdown`."""
+        self.publish: Callable[[MachineChanged], None] = lambda _: None
+        """Called at each change of the state."""
         self._starts: list[float] = []
         self.told: list[list[str]] = []
         """Conditions that are met elsewhere."""
@@ -119,7 +109,7 @@ class Part:
 
     async def open(self) -> Channel:
         """Connect to its session once more; raises LinkLost and OperationError."""
-        if self.state is not PartState.RUNNING:
+        if self.state is not MachineState.RUNNING:
             raise LinkLost(self.reason or str(self.state))
         return await Channel.open(self.host, self._link)
 
@@ -148,7 +138,7 @@ class Part:
 
     async def run(self) -> None:
         """Start or adopt the session and follow it to its end; raises HostError."""
-        self.put(PartState.STARTING)
+        self.put(MachineState.STARTING)
         try:
             link = await self._running()
             if link:
@@ -156,11 +146,11 @@ class Part:
             await self._attach(link or await self._start())
         except LinkLost as lost:
             self._lose(lost)
-        while self.state is not PartState.ENDED:
+        while self.state is not MachineState.ENDED:
             try:
-                if self.state is PartState.UNREACHABLE:
+                if self.state is MachineState.UNREACHABLE:
                     await self._return()
-                if self.state is PartState.RUNNING:
+                if self.state is MachineState.RUNNING:
                     await self._follow()
             except LinkLost as lost:
                 self._lose(lost)
@@ -170,15 +160,15 @@ class Part:
     async def stop(self, limit: float) -> None:
         """End its session in order, and wait for that; one that is being started comes up first."""
         with anyio.move_on_after(limit):
-            await self._until_not({PartState.CONNECTING, PartState.STARTING})
+            await self._until_not({MachineState.CONNECTING, MachineState.STARTING})
             await self.request_end()
-            await self._until_not({PartState.RUNNING})
+            await self._until_not({MachineState.RUNNING})
 
     async def request_end(self) -> None:
         with contextlib.suppress(LinkLost, OperationError):
             await self.ask("end")
 
-    async def _until_not(self, states: set[PartState]) -> None:
+    async def _until_not(self, states: set[MachineState]) -> None:
         while self.state in states:
             self.changed.clear()
             await self.changed.wait()
@@ -288,7 +278,7 @@ class Part:
                 _log.warning("%s: its session was started anew meanwhile", self.name)
             self._seen = 0
         self.hello, self._link = channel.hello, link
-        self.put(PartState.RUNNING)
+        self.put(MachineState.RUNNING)
 
     async def _follow(self) -> None:
         """Follow the session to its end; raises LinkLost."""
@@ -354,7 +344,7 @@ class Part:
     async def tell(self, met: list[list[str]]) -> None:
         """Report the conditions that are met on other machines."""
         self.told = met
-        if self.state is PartState.RUNNING:
+        if self.state is MachineState.RUNNING:
             with contextlib.suppress(LinkLost, OperationError):
                 await self.ask("meet", {"met": met})
 
@@ -389,10 +379,10 @@ class Part:
             return
         if self._link not in await self._links():
             # A session that ends in order removes its link when nothing of it runs any more.
-            self.put(PartState.ENDED, "its session has ended")
+            self.put(MachineState.ENDED, "its session has ended")
             return
         _log.warning("%s: the supervisor of its session was killed", self.name)
-        self.put(PartState.STARTING)
+        self.put(MachineState.STARTING)
         if self.machine.local or self.machine.service is Service.NONE:
             await self._attach(await self._start())
             return
@@ -406,9 +396,8 @@ class Part:
     # A machine that is lost.
 
     def _lose(self, lost: LinkLost) -> None:
-        if self.state is not PartState.UNREACHABLE:
-            _log.warning("%s: the connection is lost: %s; it is tried again", self.name, lost)
-            self.put(PartState.UNREACHABLE, str(lost))
+        if self.state is not MachineState.UNREACHABLE:
+            self.put(MachineState.UNREACHABLE, f"the connection is lost: {lost}")
         self.close()
         self._host = None
 
@@ -425,7 +414,6 @@ class Part:
                 self.reason = str(error)
                 await asyncio.sleep(pause)
                 pause = min(2 * pause, longest)
-        _log.warning("%s: it is connected again", self.name)
         link = await self._running()
         if link:
             await self._attach(link)
@@ -434,8 +422,11 @@ class Part:
             await self.adopt(self.config, await self.bring(self.config))
             await self._attach(await self._start())
         else:
-            self.put(PartState.ENDED, "its session has ended while it was unreachable")
+            self.put(MachineState.ENDED, "its session has ended while it was unreachable")
 
-    def put(self, state: PartState, reason: str = "") -> None:
+    def put(self, state: MachineState, reason: str = "") -> None:
         self.state, self.reason, self.since_ns = state, reason, time.time_ns()
         self.changed.set()
+        self.publish(
+            MachineChanged(stamp_ns=self.since_ns, machine=self.name, state=state, reason=reason)
+        )

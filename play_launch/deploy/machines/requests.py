@@ -26,8 +26,8 @@ from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, Code, Ope
 from play_launch.control.serve import read_change
 from play_launch.control.units import chosen
 from play_launch.deploy.machines.hosts import HostError, LinkLost
-from play_launch.deploy.machines.part import Part, PartState
 from play_launch.recording.console_format import logger_of, loggers_in
+from play_launch.supervisor.events import MachineState
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from play_launch.control.messages import Caller, Request
     from play_launch.control.units import Target
     from play_launch.deploy.machines.bundle import Bundle
+    from play_launch.deploy.machines.part import Part
 
 _EVENTS: Final = 5000
 """Events of all machines that are kept for clients."""
@@ -91,7 +92,7 @@ class Requests:
         raise OperationError(Code.UNKNOWN_OPERATION, text)
 
     def _reachable(self) -> list[Part]:
-        return [part for part in self._parts.values() if part.state is PartState.RUNNING]
+        return [part for part in self._parts.values() if part.state is MachineState.RUNNING]
 
     async def _first(self, operation: str, caller: Caller) -> object:
         for part in sorted(self._reachable(), key=lambda each: not each.machine.local):
@@ -158,7 +159,7 @@ class Requests:
 
     async def _wait_for_machines(self, limit: float) -> None:
         """Wait until no machine is on its way any more, or back."""
-        begun = {PartState.CONNECTING, PartState.STARTING, PartState.UNREACHABLE}
+        begun = {MachineState.CONNECTING, MachineState.STARTING, MachineState.UNREACHABLE}
         with anyio.move_on_after(limit):
             for part in tuple(self._parts.values()):
                 while part.state in begun:
@@ -263,7 +264,7 @@ class Requests:
             raise OperationError(
                 Code.REFUSED, f"{text}; stop it and replay the other configuration"
             )
-        lost = [name for name in used if self._parts[name].state is not PartState.RUNNING]
+        lost = [name for name in used if self._parts[name].state is not MachineState.RUNNING]
         if lost:
             raise OperationError(Code.REFUSED, f"machine {lost[0]} is unreachable")
         bundles = await self._bring(target, request.arguments)
@@ -352,7 +353,7 @@ def _unreachable(part: Part, wanted: Sequence[str]) -> list[dict[str, Any]]:
         {
             **row,
             **unknown,
-            "state": "unreachable" if part.state is PartState.RUNNING else str(part.state),
+            "state": "unreachable" if part.state is MachineState.RUNNING else str(part.state),
             "reason": f"since {since}, was {row['state']}" if row["state"] else part.reason,
         }
         for row in part.rows or _declared(part.config)

@@ -8,7 +8,8 @@ from play_launch.config.text import duration
 from play_launch.postmortem.findings import DeclaredPlace, Finding
 from play_launch.postmortem.frames import blamed
 from play_launch.postmortem.known_causes import known_cause
-from play_launch.postmortem.units import Fault
+from play_launch.postmortem.units import Downtime, Fault
+from play_launch.supervisor.events import MachineState
 from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ _ENDS: Final = frozenset({Fault.CRASHED, Fault.DIED, Fault.KILLED})
 def detect(timeline: Timeline) -> Iterator[Finding]:
     yield from _failed(timeline)
     yield from _looping(timeline)
+    yield from _machines(timeline)
 
 
 def _failed(timeline: Timeline) -> Iterator[Finding]:
@@ -142,3 +144,29 @@ def _looping(timeline: Timeline) -> Iterator[Finding]:
             cause=f"it failed {count} times within {duration(lasted)}",
             place=DeclaredPlace(container=unit.container),
         )
+
+
+def _machines(timeline: Timeline) -> Iterator[Finding]:
+    """Report machines that were lost, and those whose part failed."""
+    for name, changes in timeline.machines.items():
+        ends = [*changes[1:], None]
+        for state, kind, says in (
+            (MachineState.UNREACHABLE, "machine_lost", "could not be reached {when}"),
+            (MachineState.FAILED, "machine_failed", "could not be used {when}"),
+        ):
+            found = [
+                (each, end) for each, end in zip(changes, ends, strict=True) if each.state is state
+            ]
+            if found:
+                yield Finding(
+                    kind=kind,
+                    rank=2,
+                    says=says,
+                    name=f"machine {name}",
+                    times_ns=tuple(each.stamp_ns for each, _ in found),
+                    cause=found[0][0].reason,
+                    away=tuple(
+                        Downtime(name, end.stamp_ns - each.stamp_ns if end else None)
+                        for each, end in found
+                    ),
+                )

@@ -20,8 +20,8 @@ from play_launch.postmortem.report.usage import Rates, Usage
 from play_launch.postmortem.units import NO_UNIT, Unit
 from play_launch.recording import topics
 from play_launch.recording.console_format import ERROR, INFO
+from play_launch.recording.log_handler import REPORTED_LOGGER
 from play_launch.supervisor.events import (
-    REPORTED_LOGGER,
     ContainerState,
     LogRecord,
     NodeState,

@@ -8,8 +8,10 @@ from hypothesis import strategies as st
 from play_launch.cli.top.model import (
     Health,
     Order,
+    cells_of,
     counted,
     health,
+    machine_width,
     matching,
     memory,
     ordered,
@@ -93,6 +95,19 @@ def test_what_is_looked_for_comes_first(order: Order, is_reversed: bool, names: 
 def test_rows_are_chosen_by_name(pattern: str, names: list[str]) -> None:
     rows = [row("/chat"), node("/talker", "/chat"), row("/sensing/Camera", kind="process")]
     assert [each.name for each in matching(rows, pattern)] == names
+
+
+def test_machines_have_a_column_and_choose_their_rows() -> None:
+    rows = [row("/a", machine="h2"), row("/b", machine="a_long_name_of_a_computer"), row("/c")]
+    assert machine_width(rows) == 13
+    assert [str(cells_of(each, each.name, 16, "", 13)[0]) for each in rows] == [
+        "h2",
+        "a_long_name_",
+        "",
+    ]
+    assert [each.name for each in matching(rows, "H2")] == ["/a"]
+    assert machine_width(rows[2:]) == 0
+    assert str(cells_of(rows[2], "/c", 16, "")[0]) == "/c"
 
 
 def test_a_system_is_summed_up() -> None:

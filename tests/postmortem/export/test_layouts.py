@@ -35,7 +35,7 @@ FIELDS = {
     "play_launch_msgs/msg/StateEvent": STATE_EVENT.types,
 }
 SYSTEM = SystemSample(
-    **dict.fromkeys(SystemSample.__annotations__, 0)  # type: ignore[arg-type]
+    **dict.fromkeys(SystemSample.__struct_fields__, 0)  # type: ignore[arg-type]
     | {"core_percent": (), "core_mhz": ()}
 )
 STORY: list[RunEvent] = [

@@ -92,7 +92,7 @@ def test_parquet_has_the_same_tables(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_what_is_no_number_is_empty(tmp_path: Path) -> None:
     (event,) = some(SYSTEM_SAMPLES, 1)
     assert isinstance(event, SystemSample)
-    values = {name: getattr(event, name) for name in SystemSample.__annotations__}
+    values = {name: getattr(event, name) for name in SystemSample.__struct_fields__}
     events: list[RunEvent] = [
         SystemSample(**{**values, "core_percent": (1.0, 2.0), "steal_percent": float("nan")}),
         SystemSample(**{**values, "core_percent": (3.0,)}),

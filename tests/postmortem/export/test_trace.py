@@ -51,7 +51,7 @@ def process(kind: ProcessEventKind, **more: Any) -> ProcessEvent:
 
 
 def sample(**more: Any) -> ProcessSample:
-    values: dict[str, Any] = dict.fromkeys(ProcessSample.__annotations__, 0)
+    values: dict[str, Any] = dict.fromkeys(ProcessSample.__struct_fields__, 0)
     values |= {"kind": SubjectKind.NODE, "key": str(KEY), "memory_kind": MemoryKind.PSS}
     return ProcessSample(**{**values, **more})
 

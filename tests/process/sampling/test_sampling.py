@@ -178,10 +178,10 @@ def test_json_has_null_for_what_is_not_a_number() -> None:
     from play_launch.cli.show.display import encode
     from play_launch.control.event_words import event_object
 
-    values = dict.fromkeys(SystemSample.__annotations__, float("nan"))
+    values = dict.fromkeys(SystemSample.__struct_fields__, float("nan"))
     event = SystemSample(**{**values, "core_percent": (1.0, float("nan"))})  # type: ignore[arg-type]
     assert json.loads(encode(event_object(event)), parse_constant=pytest.fail) == {
         "event": "system_sample",
-        **dict.fromkeys(SystemSample.__annotations__),
+        **dict.fromkeys(SystemSample.__struct_fields__),
         "core_percent": [1.0, None],
     }

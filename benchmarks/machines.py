@@ -1,0 +1,169 @@
+"""Three hosts of 50 composable nodes each, beside one of them alone; `ps`; cut connections.
+
+    python -m benchmarks.machines [--runs N] [--cuts N] [--containers N] [--json]
+
+The hosts are network namespaces of this machine and share its CPUs: with fewer than three for each
+host, the ratio of the times says more about discovery on these CPUs than about several machines.
+Needs root. A process on the host that is cut counts; all its lines have to arrive.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.statistics import header, row
+from tests.support.hosts import Hosts, hosts, missing
+from tests.support.waiting import until
+
+HOSTS, NODES = 3, 10
+CUT = 3.0
+"""Seconds: longer than `lost_after`."""
+PROGRAM = Path(sys.executable).with_name("play-launch")
+
+
+def configuration(of: Sequence[int], containers: int, *, by_machines: bool) -> str:
+    node = {"package": "play_launch_demo", "plugin": "play_launch_demo::Listener"}
+    found: list[dict[str, Any]] = [
+        {
+            "name": f"c{host}_{container}",
+            "container_type": "isolated",
+            "composable_nodes": [
+                {**node, "name": f"n{host}_{container}_{number}"} for number in range(NODES)
+            ],
+            **({"machine": f"h{host}"} if by_machines else {}),
+        }
+        for host in of
+        for container in range(containers)
+    ]
+    script = "i=0; while :; do echo tick $((i += 1)); read -t 0.2 <> <(:); done"
+    machine = {"service": "none", "play_launch": str(PROGRAM), "lost_after": "2 s"}
+    values: dict[str, Any] = {
+        "version": 1,
+        "name": "several",
+        "environment": {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_DOMAIN_ID": "7"},
+        "record": {"sampling": {"period": "never"}},
+        "containers": found,
+    }
+    if by_machines:
+        values["machines"] = {f"h{host}": machine for host in of}
+        values["nodes"] = [
+            {"name": "ticks", "machine": f"h{HOSTS}", "command": ["bash", "-c", script]}
+        ]
+    return json.dumps(values)
+
+
+class Run:
+    """A system on host 1, until it is stopped."""
+
+    def __init__(self, net: Hosts, folder: Path, config: str) -> None:
+        self._net = net
+        self.output = folder / "output"
+        path = folder / "several.yaml"
+        path.write_text(config)
+        began = time.monotonic()
+        with self.output.open("w") as out:
+            self.process = subprocess.Popen(
+                net.play_launch("replay", "--json", str(path)),
+                env=net.environment,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        self.ask("wait", "--timeout", "120s")
+        self.up = time.monotonic() - began
+
+    def ask(self, *words: str) -> str:
+        return self._net.run(*words, "--session", str(self.process.pid), code=0).stdout
+
+    def stop(self) -> None:
+        self.process.send_signal(signal.SIGINT)
+        self.process.wait(120)
+
+    def usage(self) -> tuple[float, int]:
+        """Seconds of CPU and kB of memory of the coordinator."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        status = Path(f"/proc/{self.process.pid}/status").read_text()
+        ticks = int(fields[11]) + int(fields[12])
+        return ticks / os.sysconf("SC_CLK_TCK"), int(status.split("VmRSS:")[1].split()[0])
+
+
+def measure(runs: int, cuts: int, containers: int) -> dict[str, Any]:
+    found: dict[str, Any] = {"alone_s": [], "three_s": [], "ps_s": [], "ticks": 0, "lost": 0}
+    with tempfile.TemporaryDirectory(prefix="machines-") as name, hosts(Path(name), HOSTS) as net:
+        for number in range(runs):
+            alone = Run(net, Path(name), configuration([HOSTS], containers, by_machines=False))
+            found["alone_s"].append(alone.up)
+            alone.stop()
+            three = Run(
+                net, Path(name), configuration(range(1, HOSTS + 1), containers, by_machines=True)
+            )
+            found["three_s"].append(three.up)
+            for _ in range(5):
+                began = time.monotonic()
+                rows = json.loads(three.ask("ps", "--json"))
+                found["ps_s"].append(time.monotonic() - began)
+                if len(rows) != HOSTS * containers * (NODES + 1) + 1:
+                    raise SystemExit(f"ps lists {len(rows)} rows")
+            if number == runs - 1:
+                _cut(net, three, cuts, found)
+            three.stop()
+            ticks = [int(each) for each in re.findall(r'"tick (\d+)"', three.output.read_text())]
+            found["ticks"] += len(set(ticks))
+            found["lost"] += max(ticks) - len(ticks)
+    return found
+
+
+def _cut(net: Hosts, run: Run, cuts: int, found: dict[str, Any]) -> None:
+    before = run.usage()
+    for _ in range(cuts):
+        net.cut(HOSTS)
+        time.sleep(CUT)
+        net.mend(HOSTS)
+        until(lambda: '"running"' in run.ask("ps", "--json", "ticks"), "its return")
+    after = run.usage()
+    found["cpu_s_of_a_cut"] = (after[0] - before[0]) / max(cuts, 1)
+    found["memory_kb"] = [before[1], after[1]]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--cuts", type=int, default=100)
+    parser.add_argument("--containers", type=int, default=5, help="of 10 nodes, on each host")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    if problem := missing():
+        raise SystemExit(problem)
+    found = measure(options.runs, options.cuts, options.containers)
+    if options.json:
+        print(json.dumps(found))
+        return
+    nodes = HOSTS * options.containers * NODES
+    print(f"{nodes} nodes on {HOSTS} hosts, {os.cpu_count()} CPUs for all")
+    print(header())
+    for name, key in (("one alone", "alone_s"), ("all three", "three_s"), ("ps", "ps_s")):
+        print(row(name, [1000 * each for each in found[key]], "ms"))
+    ratio = statistics.median(found["three_s"]) / statistics.median(found["alone_s"])
+    print(f"all three / one alone: {ratio:.1f}")
+    print(f"{found['lost']} of {found['ticks'] + found['lost']} lines lost")
+    begin, end = found["memory_kb"]
+    print(f"{options.cuts} cuts: {found['cpu_s_of_a_cut']:.2f} s of CPU each, {begin} to {end} kB")
+
+
+if __name__ == "__main__":
+    main()
