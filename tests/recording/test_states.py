@@ -211,7 +211,7 @@ def test_states_of_an_earlier_version_have_no_cause(
         PROCESS_SAMPLES,
         GROUP_SAMPLES,
         SYSTEM_SAMPLES,
-        structs(MachineChanged, stamp_ns=STAMPS, machine=NAMES, reason=TEXTS),
+        MACHINES,
     )
 )
 def test_our_own_reader_gives_the_event_back(event: RunEvent) -> None:
