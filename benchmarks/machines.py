@@ -12,10 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
-import signal
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -23,8 +20,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.sampling import cpu_seconds
 from benchmarks.statistics import header, row
-from tests.support.hosts import Hosts, hosts, missing
+from tests.support.hosts import Hosts, Running, hosts, missing
 from tests.support.waiting import until
 
 HOSTS, NODES = 3, 10
@@ -64,76 +62,53 @@ def configuration(of: Sequence[int], containers: int, *, by_machines: bool) -> s
     return json.dumps(values)
 
 
-class Run:
-    """A system on host 1, until it is stopped."""
+def usage(pid: int) -> tuple[float, int]:
+    """Seconds of CPU and kB of memory of a process."""
+    memory = Path(f"/proc/{pid}/status").read_text().split("VmRSS:")[1].split()[0]
+    return cpu_seconds(pid), int(memory)
 
-    def __init__(self, net: Hosts, folder: Path, config: str) -> None:
-        self._net = net
-        self.output = folder / "output"
-        path = folder / "several.yaml"
-        path.write_text(config)
-        began = time.monotonic()
-        with self.output.open("w") as out:
-            self.process = subprocess.Popen(
-                net.play_launch("replay", "--json", str(path)),
-                env=net.environment,
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
-        self.ask("wait", "--timeout", "120s")
-        self.up = time.monotonic() - began
 
-    def ask(self, *words: str) -> str:
-        return self._net.run(*words, "--session", str(self.process.pid), code=0).stdout
-
-    def stop(self) -> None:
-        self.process.send_signal(signal.SIGINT)
-        self.process.wait(120)
-
-    def usage(self) -> tuple[float, int]:
-        """Seconds of CPU and kB of memory of the coordinator."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
-        status = Path(f"/proc/{self.process.pid}/status").read_text()
-        ticks = int(fields[11]) + int(fields[12])
-        return ticks / os.sysconf("SC_CLK_TCK"), int(status.split("VmRSS:")[1].split()[0])
+def started(net: Hosts, config: Path, content: str) -> tuple[Running, float]:
+    """Start a system; return it and the seconds until all is loaded."""
+    config.write_text(content)
+    began = time.monotonic()
+    return Running(net, config).loaded(), time.monotonic() - began
 
 
 def measure(runs: int, cuts: int, containers: int) -> dict[str, Any]:
     found: dict[str, Any] = {"alone_s": [], "three_s": [], "ps_s": [], "ticks": 0, "lost": 0}
     with tempfile.TemporaryDirectory(prefix="machines-") as name, hosts(Path(name), HOSTS) as net:
         for number in range(runs):
-            alone = Run(net, Path(name), configuration([HOSTS], containers, by_machines=False))
-            found["alone_s"].append(alone.up)
+            content = configuration([HOSTS], containers, by_machines=False)
+            alone, seconds = started(net, Path(name, f"alone{number}.yaml"), content)
+            found["alone_s"].append(seconds)
             alone.stop()
-            three = Run(
-                net, Path(name), configuration(range(1, HOSTS + 1), containers, by_machines=True)
-            )
-            found["three_s"].append(three.up)
+            content = configuration(range(1, HOSTS + 1), containers, by_machines=True)
+            three, seconds = started(net, Path(name, f"three{number}.yaml"), content)
+            found["three_s"].append(seconds)
             for _ in range(5):
                 began = time.monotonic()
-                rows = json.loads(three.ask("ps", "--json"))
+                rows = three.rows()
                 found["ps_s"].append(time.monotonic() - began)
                 if len(rows) != HOSTS * containers * (NODES + 1) + 1:
                     raise SystemExit(f"ps lists {len(rows)} rows")
             if number == runs - 1:
                 _cut(net, three, cuts, found)
             three.stop()
-            ticks = [int(each) for each in re.findall(r'"tick (\d+)"', three.output.read_text())]
-            found["ticks"] += len(set(ticks))
-            found["lost"] += max(ticks) - len(ticks)
+            ticks = three.ticks()
+            found["ticks"] += len(ticks)
+            found["lost"] += max(ticks) - len(set(ticks))
     return found
 
 
-def _cut(net: Hosts, run: Run, cuts: int, found: dict[str, Any]) -> None:
-    before = run.usage()
+def _cut(net: Hosts, system: Running, cuts: int, found: dict[str, Any]) -> None:
+    before = usage(system.process.pid)
     for _ in range(cuts):
         net.cut(HOSTS)
         time.sleep(CUT)
         net.mend(HOSTS)
-        until(lambda: '"running"' in run.ask("ps", "--json", "ticks"), "its return")
-    after = run.usage()
+        until(lambda: '"running"' in system.ask("ps", "--json", "ticks"), "its return")
+    after = usage(system.process.pid)
     found["cpu_s_of_a_cut"] = (after[0] - before[0]) / max(cuts, 1)
     found["memory_kb"] = [before[1], after[1]]
 

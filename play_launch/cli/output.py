@@ -66,17 +66,6 @@ def report_write_error(error: OSError) -> None:
         redirect_to_devnull(sys.stderr)
 
 
-@contextlib.contextmanager
-def surviving_the_loss_of_stdout() -> Iterator[None]:
-    """Stop writing to stdout when any write to it fails, and go on: a run needs no output."""
-    try:
-        yield
-    except OSError as error:
-        if not (isinstance(error, BrokenPipeError) or is_about_output(error)):
-            raise
-        redirect_to_devnull(sys.stdout)
-
-
 # Terminals and foreign text.
 
 RESET: Final = "\x1b[0m"
@@ -158,6 +147,17 @@ def say(text: str, *, beside: Path | None = None) -> None:
     try:
         print(text, flush=True)  # noqa: T201 - what it is for
     except BrokenPipeError:
+        redirect_to_devnull(sys.stdout)
+
+
+def say_live(text: str) -> None:
+    """Write ``text`` and a line end to stdout, for the last time if that fails: the run goes on."""
+    try:
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
+    except OSError as error:
+        if not (isinstance(error, BrokenPipeError) or is_about_output(error)):
+            raise
         redirect_to_devnull(sys.stdout)
 
 

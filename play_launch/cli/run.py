@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from play_launch.cli.background import Background, library_output_logged
 from play_launch.cli.check import describe
-from play_launch.cli.output import is_terminal, surviving_the_loss_of_stdout, wants_colour
+from play_launch.cli.output import is_terminal, say_live, wants_colour
 from play_launch.cli.show.display import Display, JsonStyle, LiveStyle, PlainStyle, Style, encode
 from play_launch.control.feed import Feed
 from play_launch.control.registration import ControlSocket
@@ -270,15 +270,9 @@ def _announce(config: ReplayConfig, session: Session, options: RunOptions) -> No
             "name": config.name,
             "folder": str(session.folder),
         }
-        _say(encode(values))
+        say_live(encode(values))
     else:
-        _say(f"{config.name}: {describe(config)}, recording to {session.folder}")
-
-
-def _say(text: str) -> None:
-    with surviving_the_loss_of_stdout():
-        sys.stdout.write(f"{text}\n")
-        sys.stdout.flush()
+        say_live(f"{config.name}: {describe(config)}, recording to {session.folder}")
 
 
 def _sum_up(
@@ -288,6 +282,6 @@ def _sum_up(
 
     summary = Summary(outcome.view, outcome.final_view, recording, used.get())
     if options.as_json:
-        _say(encode(summary.as_object(outcome.exit_code)))
+        say_live(encode(summary.as_object(outcome.exit_code)))
     else:
-        _say(summary.text(colour=wants_colour(sys.stdout)))
+        say_live(summary.text(colour=wants_colour(sys.stdout)))

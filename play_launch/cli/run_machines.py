@@ -7,8 +7,6 @@ import contextlib
 import json
 import logging
 import os
-import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,15 +14,14 @@ from play_launch import ExitCode
 from play_launch.cli.check import describe
 from play_launch.cli.collect import MACHINES
 from play_launch.cli.events import text_of
-from play_launch.cli.output import report, surviving_the_loss_of_stdout, warn
+from play_launch.cli.output import report, say_live, warn
 from play_launch.cli.systemd_unit import program
 from play_launch.config.machines import discovery_problems, used_machines
-from play_launch.control.messages import SessionHello
 from play_launch.control.registration import ControlSocket
+from play_launch.control.serve import hello_of
 from play_launch.control.server import serving
 from play_launch.deploy.machines.coordinator import Coordinator
 from play_launch.deploy.machines.hosts import HostError
-from play_launch.recording.facts import OURSELVES, package_version
 from play_launch.recording.log_handler import log_published
 from play_launch.recording.session import announce, open_session
 from play_launch.runtime.signals import RunSignals, StopRequests
@@ -50,15 +47,10 @@ class _Screen:
 
     def show(self, machine: str, event: dict[str, Any]) -> None:
         if self._as_json:
-            self.say(json.dumps(event, separators=(",", ":")))
+            say_live(json.dumps(event, separators=(",", ":")))
         elif event["event"] in _SHOWN and not (self._quiet and event["event"] == "output"):
             source = f"{machine} {event['source']}" if machine else event["source"]
-            self.say(text_of({**event, "source": source}))
-
-    def say(self, text: str) -> None:
-        with surviving_the_loss_of_stdout():
-            sys.stdout.write(f"{text}\n")
-            sys.stdout.flush()
+            say_live(text_of({**event, "source": source}))
 
 
 def run_machines(
@@ -84,7 +76,7 @@ def run_machines(
         opened.callback(control.close)
         if not as_json:
             names = ", ".join(used_machines(config))
-            screen.say(f"{config.name}: {describe(config)} on {names}")
+            say_live(f"{config.name}: {describe(config)} on {names}")
         coordinator = Coordinator(
             config, arguments, str(program()), screen.show, session.recorder.publish
         )
@@ -114,15 +106,7 @@ async def _until_the_end(
             session.recorder.publish(record)
 
     config = coordinator.config
-    hello = SessionHello(
-        version=package_version(OURSELVES),
-        pid=os.getpid(),
-        name=config.name,
-        session=session.id,
-        folder=control.folder,
-        started_ns=time.time_ns(),
-        source=str(config.source.absolute()),
-    )
+    hello = hello_of(config, session, control)
     machines = Path(control.folder) / MACHINES
 
     def note_recordings() -> None:

@@ -52,6 +52,20 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 
+def hello_of(config: ReplayConfig, session: Session, control: ControlSocket) -> SessionHello:
+    """Make the first message to each client; reads the installed version from a file."""
+    return SessionHello(
+        version=package_version(OURSELVES),
+        pid=os.getpid(),
+        name=config.name,
+        session=session.id,
+        folder=control.folder,
+        started_ns=time.time_ns(),
+        source=str(config.source.absolute()),
+        machine=config.machine,
+    )
+
+
 async def serve_control(
     config: ReplayConfig,
     session: Session,
@@ -93,17 +107,7 @@ async def serve_control(
         log=changes.log,
         apply=changes.apply,
     )
-    version = await asyncio.to_thread(package_version, OURSELVES)
-    hello = SessionHello(
-        version=version,
-        pid=os.getpid(),
-        name=config.name,
-        session=session.id,
-        folder=control.folder,
-        started_ns=time.time_ns(),
-        source=str(config.source.absolute()),
-        machine=config.machine,
-    )
+    hello = await asyncio.to_thread(hello_of, config, session, control)
     try:
         async with serving(control, hello, operations):
             operable.set_result(None)

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import McapReader, make_reader
@@ -326,6 +327,28 @@ def test_a_session_that_was_killed_is_started_again(net: Hosts, tmp_path: Path) 
             "the new one",
         )
         killed.stop()
+
+
+def test_a_session_that_is_killed_again_and_again_is_given_up(net: Hosts, tmp_path: Path) -> None:
+    with running(net, system(tmp_path, "hopeless")) as hopeless:
+
+        def changes() -> list[dict[str, Any]]:
+            events = (each for each in hopeless.events() if each["event"] == "machine")
+            return [
+                each
+                for each in events
+                if each["machine"] == "h3" and each["state"] in {"running", "failed"}
+            ]
+
+        hopeless.loaded()
+        for number in range(2, 7):
+            (pid,) = supervisors(net, 3)
+            os.kill(pid, signal.SIGKILL)
+            until(lambda: len(changes()) == number, f"start {number}")  # noqa: B023
+        assert "h3 has failed: its session was killed again and again" in changes()[-1]["text"]
+        assert hopeless.rows()["/talker"]["state"] == "loaded"
+        hopeless.stop(1)
+    assert not supervisors(net, 3)
 
 
 def test_a_supervisor_that_hangs_holds_up_no_other_machine(net: Hosts, tmp_path: Path) -> None:
