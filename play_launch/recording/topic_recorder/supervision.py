@@ -177,6 +177,8 @@ class TopicRecording:
         # What it has sent is still in the socket.
         await self._link.ended()
         self._link = None
+        # Before the next one: publishers must have given up the ports that it takes over.
+        await self._sweep()
         return f"topic_recorder {ended}"
 
     async def _end(self) -> None:

@@ -19,6 +19,11 @@ a killed one) is dead when no process maps it.
 A port is judged and removed while we hold its semaphore, so none can be opened meanwhile, and
 every lock is held until its file is gone. A participant that is just being created loses the race
 for its lock at worst: it then takes the next random number, as Fast DDS provides for.
+
+Its senders map a port beyond its removal. They notice that it is dead only if its receiver was
+killed while it waited or worked on a message. Killed between the two it looks healthy for ever:
+the senders fill it, and do not look for the port that a new process makes under the same number.
+So a dead port is marked as broken, as Fast DDS marks it, before it is removed.
 """
 
 from __future__ import annotations
@@ -29,6 +34,7 @@ import errno
 import fcntl
 import os
 import re
+import struct
 import sys
 import threading
 import time
@@ -192,6 +198,7 @@ class _Port:
 
     def remove(self, mapped: _Mappings, report: SweepReport) -> None:
         """Remove its files; a semaphore with waiting processes stays."""
+        _mark_broken(SHARED_MEMORY / self.name)
         for name in (self.name, f"{self.name}_el", f"{self.name}_sl"):
             _remove(name, report)
         if not mapped.users(self.semaphore) - {os.getpid()}:
@@ -200,6 +207,33 @@ class _Port:
     def _take_locks(self, held: ExitStack) -> None:
         paths = [SHARED_MEMORY / f"{self.name}{suffix}" for suffix in ("_el", "_sl")]
         self._locks = {_take_lock(path, held) for path in paths}
+
+
+_PORT_STATE: Final = struct.Struct("=7I")
+"""Of `PortNode` in `SharedMemGlobal.hpp`, the same in Fast DDS 2.14 and 3: the port's number, how
+many listeners, milliseconds of the health check and of a wait, capacity, how many wait, flags."""
+_STATE_IS_BEFORE: Final = 4096
+_MOST_LISTENERS: Final = 1024
+_IS_OK: Final = 1
+
+
+def _mark_broken(port: Path) -> None:
+    """Tell all senders that map a port to give it up; what has another layout stays as it is."""
+    number = int(re.sub(r"\D+", "", port.name))
+    # Missing, or of another user.
+    with suppress(OSError), port.open("r+b", buffering=0) as file:
+        head = file.read(_STATE_IS_BEFORE)
+        for start in range(0, len(head) - _PORT_STATE.size + 1, 4):
+            found, listeners, check, wait, capacity, _, flags = _PORT_STATE.unpack_from(head, start)
+            if (
+                (found, wait) == (number, check // 3)
+                and listeners <= _MOST_LISTENERS
+                and capacity > 0
+                and flags & _IS_OK
+            ):
+                file.seek(start + _PORT_STATE.size - 4)
+                file.write(struct.pack("=I", flags & ~_IS_OK))
+                return
 
 
 def _sweep_ports(names: list[str], report: SweepReport) -> None:

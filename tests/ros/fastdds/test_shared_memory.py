@@ -11,6 +11,7 @@ import re
 import signal
 import sys
 import threading
+import time
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -140,6 +141,36 @@ async def test_the_dead_are_swept_and_the_living_go_on_talking(session: SessionG
     await sweep_shared_memory()
     # Ports from 7000 on are those of all domains: another test's process may have one by now.
     assert not ((of_alive | of_dead) - held_by_others()) & files()
+
+
+async def test_a_sender_gives_up_a_dead_port_that_looks_healthy(session: SessionGuard) -> None:
+    alive, _ = await node(session, "alive")
+    dead, dead_hears = await node(session, "dead")
+    await dead_hears.wait_line("heard alive")
+    of_dead = held_by(dead.pid)
+    await end(dead)
+    for name in of_dead:
+        if match := re.fullmatch(r"fast(?:rtps|dds)_port(\d+)", name):
+            put_off_the_check(name, int(match[1]))
+
+    await sweep_shared_memory()
+    new, new_hears = await node(session, "new")
+    await new_hears.wait_line("heard alive")
+
+    assert held_by(new.pid) & of_dead, "the case this is about: the same ports"
+    await end(new)
+    await end(alive)
+    await sweep_shared_memory()
+
+
+def put_off_the_check(name: str, number: int) -> None:
+    """As after a kill between two messages: the senders' checks do not find the port dead."""
+    with (SHARED_MEMORY / name).open("r+b") as file:
+        memory = mmap.mmap(file.fileno(), 4096)
+        of_number = memory.find(number.to_bytes(4, sys.byteorder))
+        last_check_ms = (time.time_ns() // 1_000_000 + 3_600_000).to_bytes(8, sys.byteorder)
+        memory[of_number - 20 : of_number - 12] = last_check_ms
+        memory.close()
 
 
 async def test_nobody_who_comes_or_goes_is_disturbed(session: SessionGuard) -> None:
