@@ -22,7 +22,8 @@ from typing import Any
 
 from benchmarks.sampling import cpu_seconds
 from benchmarks.statistics import header, row
-from tests.support.hosts import Hosts, Running, hosts, missing
+from play_launch.deploy.machines.namespaces import missing
+from tests.support.hosts import Hosts, Running
 from tests.support.waiting import until
 
 HOSTS, NODES = 3, 10
@@ -77,7 +78,7 @@ def started(net: Hosts, config: Path, content: str) -> tuple[Running, float]:
 
 def measure(runs: int, cuts: int, containers: int) -> dict[str, Any]:
     found: dict[str, Any] = {"alone_s": [], "three_s": [], "ps_s": [], "ticks": 0, "lost": 0}
-    with tempfile.TemporaryDirectory(prefix="machines-") as name, hosts(Path(name), HOSTS) as net:
+    with tempfile.TemporaryDirectory(prefix="machines-") as name, Hosts(Path(name), HOSTS) as net:
         for number in range(runs):
             content = configuration([HOSTS], containers, by_machines=False)
             alone, seconds = started(net, Path(name, f"alone{number}.yaml"), content)
@@ -104,9 +105,9 @@ def measure(runs: int, cuts: int, containers: int) -> dict[str, Any]:
 def _cut(net: Hosts, system: Running, cuts: int, found: dict[str, Any]) -> None:
     before = usage(system.process.pid)
     for _ in range(cuts):
-        net.cut(HOSTS)
+        net.set_link(HOSTS, "down")
         time.sleep(CUT)
-        net.mend(HOSTS)
+        net.set_link(HOSTS, "up")
         until(lambda: '"running"' in system.ask("ps", "--json", "ticks"), "its return")
     after = usage(system.process.pid)
     found["cpu_s_of_a_cut"] = (after[0] - before[0]) / max(cuts, 1)

@@ -3,7 +3,8 @@
     python -m benchmarks.pictures [--only NAME...] [FOLDER]
 
 They go into FOLDER, by default docs/: the demo while it comes up and when it is over, the screen of
-`play-launch top`, and the page of a session, which needs a Chromium.
+`play-launch top`, also over three machines, which needs root, and the page of a session, which
+needs a Chromium.
 """
 
 from __future__ import annotations
@@ -13,7 +14,10 @@ import asyncio
 import contextlib
 import os
 import re
+import shlex
 import shutil
+import signal
+import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -114,6 +118,24 @@ def top(folder: Path) -> None:
             write(picture, asyncio.run(screenshot(TopApp(client))))
 
 
+def machines(folder: Path) -> None:
+    """The screen of a system of three machines."""
+    with (
+        tempfile.TemporaryDirectory() as logs,
+        subprocess.Popen(
+            [COMMAND, "demo", "--machines", "3", "--seconds", "60", "--quiet", "--log-dir", logs],
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as demonstration,
+    ):
+        assert demonstration.stdout is not None
+        [*on_h1, _] = shlex.split(demonstration.stdout.readline().partition("shell: ")[2])
+        subprocess.run([*on_h1, "wait", "--timeout", "40s"], check=True)
+        with connect(str((Path(logs) / "latest").resolve())) as client:
+            write(folder / "top-machines.svg", asyncio.run(screenshot(TopApp(client))))
+        demonstration.send_signal(signal.SIGINT)
+
+
 async def screenshot(app: TopApp) -> str:
     """An SVG of the screen, once it shows samples and lines."""
     pictures: list[str] = []
@@ -149,7 +171,12 @@ def write(path: Path, picture: str) -> None:
     print(path)
 
 
-MAKERS: Mapping[str, Callable[[Path], None]] = {"demo": demo, "top": top, "report": report}
+MAKERS: Mapping[str, Callable[[Path], None]] = {
+    "demo": demo,
+    "top": top,
+    "machines": machines,
+    "report": report,
+}
 
 
 def main() -> None:

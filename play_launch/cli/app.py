@@ -74,7 +74,7 @@ _ALL: Final = (
     Verb("import", _START, "Convert a dump of play_launch (Rust)."),
     Verb("systemd-unit", _START, "Write a systemd unit."),
     Verb("kubernetes", _START, "Write Kubernetes manifests."),
-    Verb("demo", _START, "Start the demo system: eight nodes, 10 s.", "replay"),
+    Verb("demo", _START, "Start the demo system: eight nodes, 10 s."),
     Verb("ps", CONTROL, "List containers, nodes and processes."),
     Verb("status", CONTROL, "Show all about one container, node or process."),
     Verb("top", CONTROL, "Watch and operate a session on a screen."),

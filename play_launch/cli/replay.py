@@ -6,7 +6,7 @@ import contextlib
 import os
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from play_launch.config.model import ReplayConfig
     from play_launch.deploy.notification import ServiceManager
-
-DEMO: Final = Path(__file__).with_name("demo.yaml")
 
 
 def replay(  # noqa: PLR0917 - options, by name
@@ -74,21 +72,6 @@ def replay(  # noqa: PLR0917 - options, by name
         machine=machine,
         detach=detach,
     )
-
-
-def demo(
-    seconds: Annotated[
-        float, options.time("Stop after this time: 30, 2min.", "--seconds", default="10s")
-    ] = 10.0,
-    log_dir: options.LogDir = None,
-    quiet: options.Quiet = False,
-    as_json: options.Json = False,
-) -> int:
-    """Start the demo system: three containers with eight nodes, on this machine only.
-
-    It is `replay` of a configuration that is part of the package.
-    """
-    return bring_up(DEMO, log_dir, seconds, quiet=quiet, as_json=as_json)
 
 
 def bring_up(

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from benchmarks.browser import find_browser
+from play_launch.deploy.machines.namespaces import missing
 from play_launch.postmortem.session import PastSession
 from play_launch.postmortem.timeline import read_timeline
 from play_launch.supervisor.outcome import Cause
-from tests.support.hosts import missing
 
 ROOT = Path(__file__).parents[2]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from play_launch.cli.replay import DEMO
+from play_launch.cli.demo import DEMO
 from tests.support.replay import replaying, run
 from tests.support.waiting import until
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.deploy.test_machines import PROGRAM
-from tests.support.hosts import hosts, missing_systemd, running
+from tests.support.hosts import Hosts, missing_systemd, running
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.skipif(bool(missing_systemd()), reason=f"systemd: {missing_systemd()}")
@@ -39,7 +39,7 @@ containers:
       - {{package: play_launch_demo, plugin: "play_launch_demo::Listener", name: listener}}
 """
     )
-    with hosts(tmp_path / "hosts", 1) as net:
+    with Hosts(tmp_path / "hosts", 1) as net:
         net.boot(21)
         net.boot(22)
         refused = net.run("replay", str(config))

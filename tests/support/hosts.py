@@ -1,21 +1,18 @@
-"""Hosts on this machine: network namespaces on a bridge, each with an ssh server and a /dev/shm.
-
-They share the file system and the pids. Nothing leaves the namespaces.
-"""
+"""The hosts of the tests: those of the demo, with OpenSSH's server and systemd where installed."""
 
 from __future__ import annotations
 
 import contextlib
 import json
-import os
 import re
 import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
+from play_launch.deploy.machines.namespaces import Namespaces, missing
 from tests.support.replay import finished
 from tests.support.waiting import until
 
@@ -78,120 +75,32 @@ def missing_systemd() -> str:
     )
 
 
-def missing() -> str:
-    """Say what hosts need and is not here; empty if they can be made."""
-    if os.geteuid() != 0:
-        return "needs root, for network namespaces"
-    absent = [each for each in _PROGRAMS if shutil.which(each) is None]
-    if absent:
-        return f"needs {', '.join(absent)} (packages openssh-client, iproute2)"
-    done = subprocess.run(["unshare", "-n", "true"], capture_output=True, check=False)
-    return "" if done.returncode == 0 else "network namespaces cannot be made here"
-
-
-class Hosts:
+class Hosts(Namespaces):
     """Hosts h1, h2, ...; commands run on h1, as if a person sat there."""
 
     def __init__(self, folder: Path, count: int) -> None:
-        self.folder = folder
-        self.count = count
-        self._id = f"pl{os.getpid()}"
-        self._sshds: dict[int, subprocess.Popen[bytes]] = {}
+        super().__init__(folder, count)
         self._booted: dict[int, subprocess.Popen[bytes]] = {}
-        self.home = folder / "home1"
 
-    def namespace(self, number: int) -> str:
-        return f"{self._id}h{number}"
-
-    @property
-    def _switch(self) -> str:
-        return f"{self._id}sw"
-
-    def up(self) -> None:
-        (self.home / ".ssh").mkdir(parents=True)
-        _run(
-            "ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(self.home / ".ssh/id_ed25519")
-        )
-        _run("ip", "netns", "add", self._switch)
-        _run(
-            "ip",
-            "-n",
-            self._switch,
-            "link",
-            "add",
-            "bridge0",
-            "type",
-            "bridge",
-            "mcast_snooping",
-            "0",
-        )
-        _run("ip", "-n", self._switch, "link", "set", "bridge0", "up")
-        known, config = [], []
-        for number in range(1, self.count + 1):
-            self._network(number)
-            known.append(f"10.77.0.{number} {self._sshd(number)}")
-            config.append(f"Host h{number}\n  HostName 10.77.0.{number}\n  User root\n")
-        (self.home / ".ssh/known_hosts").write_text("\n".join(known) + "\n")
-        (self.home / ".ssh/config").write_text("".join(config))
+    def __enter__(self) -> Self:
+        super().__enter__()
         for number in range(1, self.count + 1):
             self._await_sshd(f"h{number}")
+        return self
 
     def _await_sshd(self, host: str) -> None:
         until(lambda: self.ssh(host, "true", code=None) is not None, f"the sshd of {host}")
 
-    def _network(self, number: int) -> None:
-        """Make the network namespace of a host, and connect it to the switch."""
-        name, link = self.namespace(number), f"v{number}"
-        _run("ip", "netns", "add", name)
-        _run("ip", "-n", name, "link", "set", "lo", "up")
-        _run(
-            *("ip", "-n", self._switch, "link", "add", link, "type", "veth"),
-            *("peer", "name", "eth0", "netns", name),
-        )
-        _run("ip", "-n", self._switch, "link", "set", link, "master", "bridge0", "up")
-        _run("ip", "-n", name, "addr", "add", f"10.77.0.{number}/24", "dev", "eth0")
-        _run("ip", "-n", name, "link", "set", "eth0", "up")
-        _run("ip", "-n", name, "route", "add", "default", "dev", "eth0")
-
-    def _sshd(self, number: int) -> str:
-        """Start the ssh server of a host, and return its public key."""
-        folder = self.folder / f"h{number}"
-        folder.mkdir()
-        key = folder / "hostkey"
-        _run("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", "", "-f", str(key))
-        home = self.folder / f"home{number}"
-        home.mkdir(exist_ok=True)
+    def server_command(self, folder: Path, home: Path) -> list[str]:
+        if not Path(_SSHD).exists():
+            return super().server_command(folder, home)
         (folder / "sshd_config").write_text(
-            f"Port 22\nHostKey {key}\nPidFile none\n"
+            f"Port 22\nHostKey {folder}/hostkey\nPidFile none\n"
             f"AuthorizedKeysFile {self.home}/.ssh/id_ed25519.pub\n"
             "PasswordAuthentication no\nUsePAM no\nStrictModes no\nPermitRootLogin yes\n"
             f"Subsystem sftp internal-sftp\nSetEnv HOME={home}\n"
         )
-        server = f"{_SSHD} -D -e -f {folder}/sshd_config"
-        if not Path(_SSHD).exists():
-            authorized = f"{self.home}/.ssh/id_ed25519.pub"
-            server = f"{sys.executable} -m tests.support.ssh_server {key} {authorized} {home}"
-        script = (
-            "mount -t tmpfs tmpfs /dev/shm; mount -t tmpfs tmpfs /run; mkdir -p /run/sshd; "
-            f"exec {server}"
-        )
-        with (folder / "sshd.log").open("wb") as log:
-            self._sshds[number] = subprocess.Popen(
-                [
-                    "nsenter",
-                    f"--net=/run/netns/{self.namespace(number)}",
-                    "unshare",
-                    "-m",
-                    "bash",
-                    "-c",
-                    script,
-                ],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                start_new_session=True,
-            )
-        return key.with_suffix(".pub").read_text().strip()
+        return [_SSHD, "-D", "-e", "-f", f"{folder}/sshd_config"]
 
     def boot(self, number: int) -> None:
         """Boot a host with a systemd of its own, over this machine's files; root and robot log in.
@@ -200,10 +109,10 @@ class Hosts:
         """
         name, folder = self.namespace(number), self.folder / f"root{number}"
         if number in self._booted:
-            self._kill(number)
+            self.kill(number)
             self._booted.pop(number).wait()
         else:
-            self._network(number)
+            self.make_network(number)
         with (self.folder / f"boot{number}.log").open("ab") as log:
             self._booted[number] = subprocess.Popen(
                 [
@@ -242,23 +151,6 @@ class Hosts:
         assert code in {None, done.returncode}, f"{command}: {done.stdout}{done.stderr}"
         return done.stdout if done.returncode == 0 else None
 
-    def cut(self, number: int) -> None:
-        """Take the cable of a host away."""
-        _run("ip", "-n", self._switch, "link", "set", f"v{number}", "down")
-
-    def mend(self, number: int) -> None:
-        _run("ip", "-n", self._switch, "link", "set", f"v{number}", "up")
-
-    def command(self, *words: str, host: int = 1) -> list[str]:
-        """Return a command that runs on a host, in its file systems."""
-        pid = self._sshds[host].pid
-        return [
-            "nsenter",
-            f"--net=/run/netns/{self.namespace(host)}",
-            f"--mount=/proc/{pid}/ns/mnt",
-            *words,
-        ]
-
     def play_launch(self, *words: str) -> list[str]:
         return self.command(str(Path(sys.executable).with_name("play-launch")), *words)
 
@@ -266,59 +158,10 @@ class Hosts:
         """Run play-launch on h1 to its end; with ``code``, it has to exit with that."""
         return finished(self.play_launch(*words), env=self.environment, timeout=60, code=code)
 
-    @property
-    def environment(self) -> dict[str, str]:
-        kept = {
-            name: value
-            for name, value in os.environ.items()
-            if not name.startswith(("PLAY_LAUNCH_", "SSH_"))
-            and name != "ROS_AUTOMATIC_DISCOVERY_RANGE"
-        }
-        return {**kept, "HOME": str(self.home)}
-
-    def pids(self, number: int) -> list[int]:
-        done = subprocess.run(
-            ["ip", "netns", "pids", self.namespace(number)],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        return [int(each) for each in done.stdout.split()]
-
-    def _kill(self, number: int) -> None:
-        def nothing_left() -> bool:
-            pids = self.pids(number)
-            for pid in pids:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
-            return not pids
-
-        until(nothing_left, f"the end of host {number}")
-
-    def down(self) -> None:
-        numbers = [*range(1, self.count + 1), *self._booted]
-        for number in numbers:
-            self._kill(number)
-        for process in (*self._sshds.values(), *self._booted.values()):
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGTERM)
-            process.wait()
-        for name in (*map(self.namespace, numbers), self._switch):
-            subprocess.run(["ip", "netns", "del", name], check=False)
-
-
-@contextlib.contextmanager
-def hosts(folder: Path, count: int) -> Iterator[Hosts]:
-    made = Hosts(folder, count)
-    try:
-        made.up()
-        yield made
-    finally:
-        made.down()
-
-
-def _run(*words: str) -> None:
-    subprocess.run(words, check=True, stdin=subprocess.DEVNULL)
+    def remove(self) -> None:
+        super().remove()
+        for booted in self._booted.values():
+            booted.wait()
 
 
 class Running:

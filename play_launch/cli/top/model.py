@@ -151,7 +151,7 @@ def name_of(row: UnitRow, *, is_tree: bool) -> str:
 def machine_width(rows: Iterable[UnitRow]) -> int:
     """Choose the width of the column of machines; 0 for a system of one."""
     longest = max((cell_len(row.machine or "") for row in rows), default=0)
-    return min(longest, _MACHINE_MOST) + 1 if longest else 0
+    return min(max(longest, len("MACHINE")), _MACHINE_MOST) + 1 if longest else 0
 
 
 def name_width(names: Iterable[str], width: int) -> int:

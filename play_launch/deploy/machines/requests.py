@@ -43,6 +43,13 @@ _EVENTS: Final = 5000
 _QUEUE: Final = 5000
 _ACTIONS: Final = frozenset((*MEMBER_ACTIONS, *NODE_ACTIONS, "signal", "wait"))
 _LISTS: Final = frozenset(("ps", "status", "parameters"))
+_BEGUN: Final = frozenset(
+    (MachineState.CONNECTING, MachineState.STARTING, MachineState.UNREACHABLE)
+)
+"""A machine is on its way, or back."""
+_NOTICED: Final = 0.5
+"""Seconds in which the loss of a machine is noticed, until it is asked again."""
+_LEAST: Final = 0.001
 _ANSWER: Final = 5.0
 """Seconds for the rows of a machine; its session may be stopped, or very busy."""
 _UNKNOWN: Final[dict[str, Any]] = {
@@ -55,6 +62,10 @@ _UNKNOWN: Final[dict[str, Any]] = {
     "output": (),
 }
 """What `status` tells besides, of a unit whose machine does not answer."""
+
+
+class _MachineLostError(OperationError):
+    """The machine was lost before it had answered."""
 
 
 class Requests:
@@ -107,7 +118,7 @@ class Requests:
             channel = await part.open()
         except LinkLost as lost:
             text = f"machine {part.name} is unreachable: {lost}"
-            raise OperationError(Code.REFUSED, text) from None
+            raise _MachineLostError(Code.REFUSED, text) from None
         has_result = False
         try:
             async for message in channel.stream(operation, arguments, caller.command):
@@ -115,11 +126,11 @@ class Requests:
                 yield message
         except LinkLost as lost:
             text = f"the connection to {part.name} was lost meanwhile: {lost}"
-            raise OperationError(Code.FAILED, text) from None
+            raise _MachineLostError(Code.FAILED, text) from None
         finally:
             channel.close()
         if not has_result:
-            raise OperationError(Code.FAILED, f"the session of {part.name} has ended meanwhile")
+            raise _MachineLostError(Code.FAILED, f"the session of {part.name} has ended meanwhile")
 
     async def _result(
         self, part: Part, operation: str, arguments: Mapping[str, Any], caller: Caller
@@ -157,20 +168,29 @@ class Requests:
             raise errors[0]
         return [row for name in self._parts for row in found.get(name, ())]
 
-    async def _wait_for_machines(self, limit: float) -> None:
-        """Wait until no machine is on its way any more, or back."""
-        begun = {MachineState.CONNECTING, MachineState.STARTING, MachineState.UNREACHABLE}
-        with anyio.move_on_after(limit):
-            for part in tuple(self._parts.values()):
-                while part.state in begun:
+    async def _wait(self, part: Part, arguments: dict[str, Any], caller: Caller) -> Any:
+        """Have a machine wait; if it is lost meanwhile, wait for it and ask again."""
+        limit = read_arguments(json.encode(arguments), WaitRequest).timeout
+        deadline = anyio.current_time() + limit
+        while True:
+            with anyio.move_on_after(deadline - anyio.current_time()):
+                while part.state in _BEGUN:
                     part.changed.clear()
                     await part.changed.wait()
+            if part.name not in self._parts:  # the others have started without it
+                return {"results": []}
+            left = max(deadline - anyio.current_time(), _LEAST)
+            try:
+                return await self._result(part, "wait", {**arguments, "timeout": left}, caller)
+            except _MachineLostError:
+                if left == _LEAST or part.state not in {*_BEGUN, MachineState.RUNNING}:
+                    raise
+            # Its loss may not have been noticed yet.
+            with anyio.move_on_after(min(left, _NOTICED)):
+                part.changed.clear()
+                await part.changed.wait()
 
     async def _act(self, operation: str, arguments: dict[str, Any], caller: Caller) -> object:
-        if operation == "wait":
-            await self._wait_for_machines(
-                read_arguments(json.encode(arguments), WaitRequest).timeout
-            )
         names = arguments.get("names", ())
         targets = self._by_machine(names) if names else dict.fromkeys(self._parts, ())
         results: list[dict[str, Any]] = []
@@ -179,7 +199,10 @@ class Requests:
         async def ask(part: Part, wanted: Sequence[str]) -> None:
             asked = {**arguments, "names": list(wanted)}
             try:
-                result = await self._result(part, operation, asked, caller)
+                if operation == "wait":
+                    result = await self._wait(part, asked, caller)
+                else:
+                    result = await self._result(part, operation, asked, caller)
                 results.extend(result["results"])
             except OperationError as error:
                 errors.append(error)

@@ -1,0 +1,48 @@
+"""The demo on several machines: hosts of this computer, made for it and removed afterwards."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+from play_launch.deploy.machines.namespaces import Namespaces, missing
+from tests.support.replay import alive
+
+PROGRAM = Path(sys.executable).with_name("play-launch")
+pytestmark = pytest.mark.skipif(bool(missing()), reason=f"hosts: {missing()}")
+
+
+def test_the_demo_runs_on_several_machines(tmp_path: Path) -> None:
+    demo = (str(PROGRAM), "demo", "--machines", "3", "--log-dir", str(tmp_path), "--json")
+    with subprocess.Popen([*demo, "--seconds", "60"], stdout=subprocess.PIPE, text=True) as run:
+        assert run.stdout is not None
+        heard = (json.loads(line) for line in run.stdout)
+        # The talker is on h1.
+        next(each for each in heard if each["machine"] == "h3" and "I heard" in str(each))
+        run.send_signal(signal.SIGTERM)
+        states = {each["machine"]: each["state"] for each in heard if each["event"] == "machine"}
+    assert run.returncode == 128 + signal.SIGTERM
+    assert states == dict.fromkeys(("h1", "h2", "h3"), "ended")
+    assert f"pl{run.pid}" not in subprocess.check_output(["ip", "netns", "list"], text=True)
+
+
+def test_hosts_of_a_killed_demo_are_removed_by_the_next(tmp_path: Path) -> None:
+    demo = (str(PROGRAM), "demo", "--machines", "2", "--log-dir", str(tmp_path))
+    with subprocess.Popen(demo, stdout=subprocess.PIPE, text=True) as run:
+        assert run.stdout is not None
+        assert "h2 are up" in run.stdout.readline()
+        run.kill()
+    left = f"pl{run.pid}h2"
+    assert left in subprocess.check_output(["ip", "netns", "list"], text=True)
+    pids = subprocess.check_output(["ip", "netns", "pids", left], text=True).split()
+    processes = [psutil.Process(int(pid)) for pid in pids]
+    with Namespaces(tmp_path / "hosts", 1):
+        assert left not in subprocess.check_output(["ip", "netns", "list"], text=True)
+    assert processes
+    assert not alive(processes)
