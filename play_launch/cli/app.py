@@ -78,6 +78,7 @@ _ALL: Final = (
     Verb("ps", CONTROL, "List containers, nodes and processes."),
     Verb("status", CONTROL, "Show all about one container, node or process."),
     Verb("top", CONTROL, "Watch and operate a session on a screen."),
+    Verb("web", CONTROL, "Show a session in a browser."),
     Verb("events", CONTROL, "Print events; with -f new ones, too."),
     Verb("logs", CONTROL, "Print output of nodes; with -f new lines, too.", "events"),
     Verb("wait", CONTROL, "Wait until a system is up."),

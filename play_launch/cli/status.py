@@ -39,7 +39,7 @@ def status(
 def _lines(unit: dict[str, Any], now_ns: int) -> Iterator[str]:
     of = f" of {unit['container']}" if unit["container"] else ""
     yield printable(f"{unit['name']} - {unit['kind']}{of}")
-    for title, text in _fields(unit, now_ns):
+    for title, text in fields(unit, now_ns):
         if text:
             yield printable(f"{title:>10}: {text}")
     for each in unit["last_restarts"]:
@@ -50,7 +50,8 @@ def _lines(unit: dict[str, Any], now_ns: int) -> Iterator[str]:
         yield printable(f"{clock(each['stamp_ns'])} {each['text']}")
 
 
-def _fields(unit: dict[str, Any], now_ns: int) -> Iterator[tuple[str, str]]:
+def fields(unit: dict[str, Any], now_ns: int) -> Iterator[tuple[str, str]]:
+    """Yield titles and texts, some of them empty, of a result of ``status``."""
     since_ns, state = unit["since_ns"], unit["state"]
     if since_ns is not None:
         since = clock(since_ns, "%Y-%m-%d %H:%M:%S")

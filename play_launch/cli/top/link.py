@@ -12,9 +12,20 @@ from play_launch.control.messages import UnitRow
 from play_launch.control.protocol import OperationError
 
 if TYPE_CHECKING:
-    from play_launch.cli.top.app import TopApp
+    from typing import Protocol
+
     from play_launch.cli.top.model import Confirmation
     from play_launch.control.client import ControlClient
+
+    class Screen(Protocol):
+        """What the session tells goes there: the terminal's screen, or the pages."""
+
+        def on_rows(self, rows: list[UnitRow]) -> None: ...
+        def on_line(self, event: dict[str, Any]) -> None: ...
+        def on_missed(self, count: int, /) -> None: ...
+        def on_outcome(self, done: Confirmation, failure: str, /) -> None: ...
+        def on_end(self, reason: str) -> None: ...
+
 
 POLL_INTERVAL: Final = 0.2
 """Seconds between two calls of `SessionLink.poll`, and from a change to a request for rows."""
@@ -27,9 +38,9 @@ _CHANGES: Final = ("container", "node", "process")
 class SessionLink:
     """The connection; `close` stops reading it."""
 
-    def __init__(self, client: ControlClient, app: TopApp) -> None:
+    def __init__(self, client: ControlClient, screen: Screen) -> None:
         self._client = client
-        self._app = app
+        self._screen = screen
         self._rows: int | None = None
         """Number of the pending request for rows."""
         self._requested_at = 0.0
@@ -59,7 +70,7 @@ class SessionLink:
             self._end(str(error))
 
     def carry_out(self, confirmed: Confirmation) -> None:
-        """Request an operation; raises OperationError. The outcome goes to the application."""
+        """Request an operation; raises OperationError. The outcome goes to the screen."""
         names = [str(confirmed.target)]
         self._pending[self._client.request(confirmed.operation, {"names": names})] = confirmed
 
@@ -76,11 +87,13 @@ class SessionLink:
         number = message.get("id")
         failure = OperationError.of(message["error"]) if "error" in message else None
         if number in self._pending:
-            self._app.on_outcome(self._pending.pop(number), str(failure or ""))
+            self._screen.on_outcome(self._pending.pop(number), str(failure or ""))
         elif number == self._rows:
             self._rows = None
             if failure is None:
-                self._app.on_rows(msgspec.convert(message["result"], list[UnitRow], strict=False))
+                self._screen.on_rows(
+                    msgspec.convert(message["result"], list[UnitRow], strict=False)
+                )
             if self._events is None:
                 # Lines are assigned to rows, so rows are requested first.
                 kinds = [*_LINES, *_CHANGES]
@@ -88,14 +101,14 @@ class SessionLink:
         elif failure is not None:
             raise failure
         elif "missed" in message:
-            self._app.on_missed(int(message["missed"]))
+            self._screen.on_missed(int(message["missed"]))
         elif "event" in message:
             event = message["event"]
             if event["event"] in _LINES:
-                self._app.on_line(event)
+                self._screen.on_line(event)
             else:
                 self._is_stale = True
 
     def _end(self, reason: str) -> None:
         self.close()
-        self._app.on_end(reason)
+        self._screen.on_end(reason)

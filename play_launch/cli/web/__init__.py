@@ -1,0 +1,232 @@
+"""What ``play-launch web`` does: serves the page of a session."""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import os
+import socket
+import ssl
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
+
+from play_launch.cli import options
+from play_launch.cli.output import fail, say_live
+from play_launch.control.protocol import Code, OperationError
+
+if TYPE_CHECKING:
+    from play_launch.cli.web.access import Rules, Tokens
+
+_LONGEST_MESSAGE: Final = 1_000_000
+"""Bytes that a browser may send at once."""
+_CLOSING: Final = 2
+"""Seconds for open requests at the end."""
+
+
+def web(  # noqa: PLR0917 - options, by name
+    session: options.Session = None,
+    bind: Annotated[
+        str, typer.Option("--bind", metavar="ADDRESS", help="Address to listen on.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option("--port", min=0, max=65535, help="0: any that is free.")
+    ] = 8080,
+    allow_control: Annotated[
+        bool,
+        typer.Option("--allow-control", help="Visitors may stop, restart and reload; else look."),
+    ] = False,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--token-file",
+            metavar="FILE",
+            help="Demand tokens, and keep them there, readable by the user only. Other addresses "
+            "than 127.0.0.1 demand tokens always; without a file they are new each time.",
+            show_default=False,
+        ),
+    ] = None,
+    allow_host: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--allow-host",
+            metavar="NAME",
+            help="Another name under which browsers may call this server; may be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    certificate: Annotated[
+        Path | None,
+        typer.Option("--certificate", metavar="FILE", help="For TLS.", show_default=False),
+    ] = None,
+    key: Annotated[
+        Path | None,
+        typer.Option("--key", metavar="FILE", help="Of the certificate.", show_default=False),
+    ] = None,
+    root_path: Annotated[
+        str,
+        typer.Option(
+            "--root-path", metavar="PATH", help="Where a proxy shows it.", show_default=False
+        ),
+    ] = "",
+    clients: Annotated[
+        int, typer.Option("--clients", min=1, max=1000, help="Most open pages.")
+    ] = 20,
+) -> int:
+    """Show a session in a browser: units, their story, the log; with --allow-control, act.
+
+    The page follows the session, and the next one of the same name. Leaving it changes nothing.
+    It listens on this machine only. For a tablet: --bind 0.0.0.0, which demands the tokens that
+    are printed, one for looking and one for acting.
+    """
+    if (certificate is None) != (key is None):
+        fail("--certificate and --key belong together")
+    address = _address(bind)
+    demands = token_file is not None or not address.is_loopback
+    tokens = _tokens(token_file) if demands else None
+    from play_launch.cli.web.access import Rules  # noqa: PLC0415
+
+    rules = Rules(
+        hosts=_own_names(bind, allow_host or ()),
+        tokens=tokens,
+        allows_acting=allow_control,
+        clients=clients,
+        is_secure=certificate is not None,
+    )
+    _require_nicegui()
+    with _listen(address, port) as listener:
+        scheme = "https" if certificate else "http"
+        shown = socket.gethostname() if address.is_unspecified else bind
+        shown = f"[{shown}]" if ":" in shown else shown
+        url = f"{scheme}://{shown}:{listener.getsockname()[1]}{root_path}/"
+        for line in _invitation(url, tokens, allows_acting=allow_control):
+            say_live(line)
+        return asyncio.run(_serve(session, rules, listener, _tls(certificate, key), root_path))
+
+
+def _invitation(url: str, tokens: Tokens | None, *, allows_acting: bool) -> list[str]:
+    if tokens is None:
+        return [f"{url} ({'to look and to act' if allows_acting else 'to look'})"]
+    lines = [f"{url}?token={tokens.look} (to look)"]
+    if allows_acting:
+        lines.append(f"{url}?token={tokens.act} (to act)")
+    return lines
+
+
+def _address(bind: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    try:
+        return ipaddress.ip_address("127.0.0.1" if bind == "localhost" else bind)
+    except ValueError:
+        fail(f"--bind: {bind} is not an IP address")
+
+
+def _own_names(bind: str, more: list[str] | tuple[str, ...]) -> frozenset[str]:
+    host = socket.gethostname()
+    names = {"localhost", "127.0.0.1", "::1", bind, host, f"{host}.local", *more}
+    return frozenset(each.lower() for each in names)
+
+
+def _tokens(file: Path | None) -> Tokens:
+    from play_launch.cli.web.access import Tokens  # noqa: PLC0415
+
+    made = Tokens.made()
+    if file is None:
+        return made
+    try:
+        descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
+    except FileExistsError:
+        return _kept(file)
+    except OSError as error:
+        fail(f"--token-file: {file} cannot be written: {error.strerror}")
+    with os.fdopen(descriptor, "w", encoding="ascii") as opened:
+        opened.write(f"{made.look}\n{made.act}\n")
+    return made
+
+
+def _kept(file: Path) -> Tokens:
+    from play_launch.cli.web.access import Tokens  # noqa: PLC0415
+
+    try:
+        mode = file.stat().st_mode & 0o777
+        if mode & 0o077:
+            fail(f"--token-file: others can read {file} (mode {mode:o}); chmod 600 {file}")
+        return Tokens.read(file.read_text("ascii"))
+    except OSError as error:
+        fail(f"--token-file: {file} cannot be read: {error.strerror}")
+    except ValueError as error:
+        fail(f"--token-file: {file}: {error}; remove it for new ones")
+
+
+def _require_nicegui() -> None:
+    try:
+        import nicegui  # noqa: F401, PLC0415 - an extra
+    except ModuleNotFoundError:
+        raise OperationError(
+            Code.BAD_ARGUMENTS,
+            "web needs NiceGUI, which is not installed; pip install 'play-launch-py[web]'",
+        ) from None
+
+
+def _listen(address: ipaddress.IPv4Address | ipaddress.IPv6Address, port: int) -> socket.socket:
+    family = socket.AF_INET if address.version == 4 else socket.AF_INET6
+    try:
+        return socket.create_server((str(address), port), family=family)
+    except OSError as error:
+        fail(f"--bind {address} --port {port}: {error.strerror or error}; --port 0 takes any")
+
+
+def _tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | None:
+    if certificate is None or key is None:
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    try:
+        context.load_cert_chain(certificate, key)
+    except OSError as error:  # SSLError is one
+        fail(f"--certificate {certificate} --key {key}: {error.strerror or error}")
+    return context
+
+
+async def _serve(
+    session: str | None,
+    rules: Rules,
+    listener: socket.socket,
+    tls: ssl.SSLContext | None,
+    root_path: str,
+) -> int:
+    import uvicorn  # noqa: PLC0415
+    from fastapi import FastAPI, Response  # noqa: PLC0415
+    from nicegui import ui  # noqa: PLC0415
+
+    from play_launch.cli.web.access import Access  # noqa: PLC0415
+    from play_launch.cli.web.metrics import CONTENT_TYPE, exposition  # noqa: PLC0415
+    from play_launch.cli.web.page import declare  # noqa: PLC0415
+    from play_launch.cli.web.watch import Watch  # noqa: PLC0415
+
+    application = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    watch = Watch(session)
+
+    @application.get("/metrics")
+    async def metrics() -> Response:
+        return Response(exposition(*await watch.scrape()), media_type=CONTENT_TYPE)
+
+    declare(watch)
+    ui.run_with(application, title="play-launch", dark=None, show_welcome_message=False)
+    guarded: Any = Access(application, rules)
+    config = uvicorn.Config(
+        guarded,
+        log_level="warning",
+        access_log=False,
+        root_path=root_path,
+        server_header=False,
+        ws_max_size=_LONGEST_MESSAGE,
+        timeout_graceful_shutdown=_CLOSING,
+        proxy_headers=False,
+    )
+    config.load()
+    config.ssl = tls
+    async with asyncio.TaskGroup() as tasks:
+        watching = tasks.create_task(watch.run())
+        await uvicorn.Server(config).serve(sockets=[listener])
+        watching.cancel()
+    return 0

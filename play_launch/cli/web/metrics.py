@@ -1,0 +1,88 @@
+"""Metrics of a session for Prometheus, by the conventions of OpenMetrics."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, StateSetMetricFamily
+from prometheus_client.openmetrics.exposition import CONTENT_TYPE_LATEST, generate_latest
+from prometheus_client.registry import CollectorRegistry
+
+from play_launch.cli.top import model
+from play_launch.control.units import target_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from prometheus_client.metrics_core import Metric
+
+    from play_launch.control.messages import UnitRow
+
+CONTENT_TYPE: Final = CONTENT_TYPE_LATEST
+_LABELS: Final = ("unit", "kind", "machine")
+_COUNTERS: Final[dict[str, tuple[str, Callable[[UnitRow], float]]]] = {
+    "restarts": (
+        "Restarts of a container or process, reloads of a node after a crash.",
+        lambda row: row.restarts,
+    ),
+    "crashes": ("Crashes of a unit.", lambda row: row.crashes),
+}
+_GAUGES: Final[dict[str, tuple[str, Callable[[UnitRow], float | None]]]] = {
+    "up_seconds": ("Seconds since the unit is up.", lambda row: row.uptime_s),
+    "cpu_ratio": (
+        "Use of CPU in the last second; 1 is one whole CPU.",
+        lambda row: None if row.cpu_percent is None else row.cpu_percent / 100,
+    ),
+    "memory_bytes": ("Memory of a unit.", lambda row: row.memory_bytes),
+}
+_STATES: Final = {
+    model.Health.FAILED: "failed",
+    model.Health.CHANGING: "changing",
+    model.Health.UP: "up",
+    model.Health.INACTIVE: "inactive",
+}
+
+
+class _Rows:
+    """What Prometheus' client collects."""
+
+    def __init__(self, session: str, rows: Sequence[UnitRow]) -> None:
+        self._session = session
+        self._rows = rows
+
+    def collect(self) -> Iterator[Metric]:
+        session = GaugeMetricFamily(
+            "play_launch_session_up", "Whether the session answers.", labels=("session",)
+        )
+        session.add_metric((self._session,), float(bool(self._session)))
+        yield session
+        states = StateSetMetricFamily(
+            "play_launch_unit_state", "The class of a unit's state.", labels=_LABELS
+        )
+        for row in self._rows:
+            now = model.health(row)
+            states.add_metric(_labels(row), {name: each is now for each, name in _STATES.items()})
+        yield states
+        for name, (about, count) in _COUNTERS.items():
+            counter = CounterMetricFamily(f"play_launch_unit_{name}", about, labels=_LABELS)
+            for row in self._rows:
+                counter.add_metric(_labels(row), count(row))
+            yield counter
+        for name, (about, figure) in _GAUGES.items():
+            gauge = GaugeMetricFamily(f"play_launch_unit_{name}", about, labels=_LABELS)
+            for row in self._rows:
+                if (value := figure(row)) is not None:
+                    gauge.add_metric(_labels(row), value)
+            yield gauge
+
+
+def _labels(row: UnitRow) -> tuple[str, str, str]:
+    return str(target_of(row)), row.kind, row.machine or ""
+
+
+def exposition(session: str, rows: Sequence[UnitRow]) -> bytes:
+    """Return the text of a scrape; without a session its name is empty."""
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(_Rows(session, rows))
+    text: bytes = generate_latest(registry)  # type: ignore[no-untyped-call]
+    return text

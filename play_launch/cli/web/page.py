@@ -1,0 +1,284 @@
+"""The page: the table of units, the story of one, and the log. Elements of NiceGUI."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+from fastapi import Request  # noqa: TC002 - FastAPI reads the annotation of the page's function
+from nicegui import ui
+
+from play_launch.cli.output import clock, duration, size
+from play_launch.cli.status import fields
+from play_launch.cli.top import model
+from play_launch.cli.web.access import RIGHT, Right
+from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, OperationError
+from play_launch.control.units import target_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from nicegui.events import GenericEventArguments
+
+    from play_launch.cli.web.watch import Watch
+    from play_launch.control.messages import UnitRow
+    from play_launch.control.units import Target
+
+_REFRESH: Final = 0.5
+"""Seconds between two looks for changes."""
+_MOST_ROWS: Final = 500
+_MOST_LINES: Final = 300
+"""Lines of a log on the page."""
+_BATCH: Final = 100
+"""Lines that are added at once."""
+_COLOURS: Final = {
+    model.Health.FAILED: "red-9",
+    model.Health.CHANGING: "amber-10",
+    model.Health.UP: "green-9",
+    model.Health.INACTIVE: "grey-8",
+}
+_WIDE: Final = {"classes": "gt-xs", "headerClasses": "gt-xs"}
+"""Not on a phone."""
+_COLUMNS: Final[list[dict[str, Any]]] = [
+    {"name": "name", "label": "Name", "field": "name", "align": "left"},
+    {"name": "state", "label": "State", "field": "state", "align": "left"},
+    {"name": "uptime", "label": "Up", "field": "uptime", **_WIDE},
+    {"name": "restarts", "label": "Restarts", "field": "restarts", **_WIDE},
+    {"name": "cpu", "label": "CPU %", "field": "cpu", **_WIDE},
+    {"name": "memory", "label": "Memory", "field": "memory", **_WIDE},
+    {"name": "last", "label": "Last line", "field": "last", "align": "left", **_WIDE},
+]
+_NAME: Final = """
+<q-td :props="props"><q-btn flat dense no-caps align="left" :label="props.value"
+  :class="props.row.inner ? 'q-ml-md' : ''" @click="$parent.$emit('open', props.row.key)" /></q-td>
+"""
+_STATE: Final = """
+<q-td :props="props"><q-badge :color="props.row.colour" text-color="white"
+  :label="props.value" /></q-td>
+"""
+_CPU: Final = """
+<q-td :props="props" class="no-wrap"><svg v-if="props.value" width="60" height="14"
+  class="q-mr-xs" aria-hidden="true"><polyline fill="none" stroke="currentColor"
+  :points="props.row.curve" /></svg>{{ props.value }}</q-td>
+"""
+_LAST: Final = """
+<q-td :props="props"><div class="ellipsis" style="max-width: 40vw">{{ props.value }}</div></q-td>
+"""
+PROBLEMS_FIRST: Final = "problems first"
+
+
+def declare(watch: Watch) -> None:
+    """Declare the page, for all visitors."""
+
+    @ui.page("/", title="play-launch")
+    def index(request: Request) -> None:
+        _Page(watch, Right(request.scope.get(RIGHT, Right.NOTHING)))
+
+
+class _Page:
+    """One visitor's page."""
+
+    def __init__(self, watch: Watch, right: Right) -> None:
+        self._watch = watch
+        self._may_act = right is Right.ACT
+        self._seen = -1
+        self._story: _Story | None = None
+        ui.dark_mode(value=None)
+        ui.colors(primary="#0d47a1")
+        client = ui.context.client
+        client.on_connect(watch.enter)
+        client.on_disconnect(watch.leave)
+        with ui.header().classes("items-center bg-primary"):
+            self._title = ui.label().classes("text-h6")
+            self._counts = ui.label()
+            ui.space()
+            ui.label("" if self._may_act else "read only")
+        self._problem = ui.label().classes("text-red-9 text-weight-bold").props('role="alert"')
+        with ui.row().classes("items-center w-full"):
+            self._pattern = ui.input("Filter by name", on_change=self._draw_rows).props("clearable")
+            orders = [PROBLEMS_FIRST, *(each.value for each in model.Order)]
+            self._order = ui.select(
+                orders, value=PROBLEMS_FIRST, label="Order", on_change=self._draw_rows
+            ).classes("w-40")
+        self._table = ui.table(columns=_COLUMNS, rows=[], row_key="key").classes("w-full")
+        self._table.props("dense flat")
+        slots = {"name": _NAME, "state": _STATE, "cpu": _CPU, "last": _LAST}
+        for name, template in slots.items():
+            self._table.add_slot(f"body-cell-{name}", template)
+        self._table.on("open", self._open)
+        ui.label("Log").classes("text-h6")
+        self._log = _Log(watch)
+        ui.timer(_REFRESH, self._refresh)
+
+    def _refresh(self) -> None:
+        self._log.refresh()
+        if self._story is not None:
+            self._story.log.refresh()
+        if self._seen == self._watch.changes:
+            return
+        self._seen = self._watch.changes
+        self._title.text = self._watch.name or "play-launch"
+        ui.page_title(self._title.text)
+        self._counts.text = model.counted(self._watch.rows) if self._watch.rows else ""
+        self._problem.text = self._watch.problem
+        self._draw_rows()
+
+    def _draw_rows(self) -> None:
+        rows = model.matching(self._watch.rows, self._pattern.value or "")
+        if self._order.value == PROBLEMS_FIRST:
+            # Within a class as declared: nodes stay below their container.
+            healths = list(model.Health)
+            rows = sorted(rows, key=lambda row: model.health(row) is not healths[0])
+        else:
+            rows = model.ordered(rows, model.Order(self._order.value))
+        self._table.rows = [self._cells(row) for row in rows[:_MOST_ROWS]]
+
+    def _cells(self, row: UnitRow) -> dict[str, Any]:
+        target = target_of(row)
+        machine = f"{row.machine} " if row.machine else ""
+        return {
+            "key": str(target),
+            "name": f"{machine}{model.clean(row.name)}",
+            "inner": row.container is not None,
+            "state": row.state,
+            "colour": _COLOURS[model.health(row)],
+            "uptime": "" if row.uptime_s is None else duration(int(row.uptime_s * 1e9)),
+            "restarts": row.restarts,
+            "cpu": "" if row.cpu_percent is None else f"{row.cpu_percent:.1f}",
+            "curve": _curve(self._watch.cpu.get(target, ())),
+            "memory": "" if row.memory_bytes is None else size(row.memory_bytes),
+            "last": self._watch.last.last.get(target, "")[:200],
+        }
+
+    async def _open(self, event: GenericEventArguments) -> None:
+        row = next((row for row in self._watch.rows if str(target_of(row)) == event.args), None)
+        if row is None:
+            ui.notify("it is not part of the system any more")
+            return
+        self._story = _Story(self._watch, row, may_act=self._may_act, closed=self._closed)
+        await self._story.fill()
+
+    def _closed(self) -> None:
+        self._story = None
+
+
+class _Story:
+    """All about one unit, in a dialog, with what may be done to it."""
+
+    def __init__(
+        self, watch: Watch, row: UnitRow, *, may_act: bool, closed: Callable[[], None]
+    ) -> None:
+        self._watch = watch
+        self._row = row
+        self._target = target_of(row)
+        with ui.dialog() as self._dialog, ui.card().classes("w-full").style("max-width: 60rem"):
+            self._dialog.on("hide", self._dialog.delete)
+            self._dialog.on("hide", closed)
+            with ui.row().classes("items-center w-full"):
+                ui.label(model.clean(row.name)).classes("text-h6")
+                ui.space()
+                ui.button(icon="close", on_click=self._dialog.close).props(
+                    'flat dense aria-label="close"'
+                )
+            if may_act:
+                with ui.row():
+                    for operation in (*MEMBER_ACTIONS, *NODE_ACTIONS):
+                        if model.suits(operation, row):
+                            ui.button(operation, on_click=self._asker(operation)).props("no-caps")
+            self._fields = ui.grid(columns="auto 1fr").classes("gap-x-4 gap-y-1")
+            self.log = _Log(watch, self._target)
+        self._dialog.open()
+
+    async def fill(self) -> None:
+        try:
+            unit = await self._watch.status(self._target)
+        except OperationError as error:
+            ui.notify(str(error), type="negative")
+            return
+        self._fields.clear()
+        with self._fields:
+            for title, text in fields(unit, time.time_ns()):
+                if text:
+                    ui.label(title).classes("text-weight-bold")
+                    ui.label(model.clean(text)).style("overflow-wrap: anywhere")
+            for each in unit["last_restarts"]:
+                ui.label(clock(each["stamp_ns"]))
+                ui.label(model.clean(each["cause"]))
+
+    def _asker(self, operation: str) -> Callable[[], None]:
+        return lambda: self._confirm(operation)
+
+    def _confirm(self, operation: str) -> None:
+        asked = model.confirmation(operation, self._row, self._watch.rows)
+
+        def confirmed() -> None:
+            question.close()
+            self._watch.carry_out(asked, outcome)
+
+        def outcome(refusal: str) -> None:
+            with self._dialog:
+                if refusal:
+                    ui.notify(refusal, type="negative", multi_line=True, close_button=True)
+                else:
+                    done = model.OPERATIONS[operation][1]
+                    ui.notify(f"{model.clean(self._row.name)} {done}", type="positive")
+
+        with self._dialog, ui.dialog() as question, ui.card():
+            ui.label(asked.question)
+            with ui.row():
+                ui.button(operation, on_click=confirmed).props("no-caps color=negative")
+                ui.button("cancel", on_click=question.close).props("no-caps flat")
+        question.open()
+
+
+class _Log:
+    """Lines, by level and text; with a target, its own."""
+
+    def __init__(self, watch: Watch, target: Target | None = None) -> None:
+        self._watch = watch
+        self._filter = model.LogFilter(target=target)
+        self._shown = 0
+        with ui.row().classes("items-center"):
+            levels = {each.value: each.name.lower() for each in model.LeastLevel}
+            self._level = ui.select(levels, value=0, label="Level", on_change=self._again)
+            self._level.classes("w-28")
+            self._text = ui.input("Lines with", on_change=self._again).props("clearable")
+        self._lines = ui.log(max_lines=_MOST_LINES).classes("w-full").style("height: 16rem")
+        self._lines.props('tabindex="0" aria-label="log"')
+
+    def _again(self) -> None:
+        self._lines.clear()
+        self._shown = 0
+        self.refresh(_MOST_LINES)
+
+    def refresh(self, most: int = _BATCH) -> None:
+        """Add what is new, at most so many lines: the last ones."""
+        lines = self._watch.lines
+        if not lines or lines[-1][0] == self._shown:
+            return
+        fresh = [line for number, line in lines if number > self._shown and self._wants(line)]
+        self._shown = lines[-1][0]
+        if len(fresh) > most:
+            self._lines.push(f"({len(fresh) - most} lines are not shown)")
+        for line in fresh[-most:]:
+            self._lines.push(model.shown(line).plain, classes=_line_class(line.level))
+
+    def _wants(self, line: model.LogLine) -> bool:
+        wanted = (self._text.value or "").lower()
+        is_severe = line.level >= (self._level.value or 0)
+        return is_severe and self._filter.wants(line) and wanted in line.text.lower()
+
+
+def _line_class(level: int) -> str:
+    return "text-red-9" if level >= model.LeastLevel.ERROR else ""
+
+
+def _curve(samples: Iterable[float]) -> str:
+    """Return points of an SVG polyline of 60 by 14, of a minute's CPU percentages.
+
+    The largest is its top.
+    """
+    values = list(samples)
+    most = max([1.0, *values])
+    start = 60 - len(values)
+    return " ".join(f"{start + x},{13 - 12 * value / most:.1f}" for x, value in enumerate(values))

@@ -1,0 +1,194 @@
+"""What all open pages share: one connection to the session, only while a page is open."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections import deque
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+
+from play_launch.cli.top import model
+from play_launch.cli.top.link import POLL_INTERVAL, SessionLink
+from play_launch.control.messages import UnitRow
+from play_launch.control.protocol import OperationError
+from play_launch.control.sessions import NoSessionError, connect
+from play_launch.control.units import target_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from play_launch.cli.top.model import Confirmation
+    from play_launch.control.client import ControlClient
+    from play_launch.control.units import Target
+
+_AGAIN: Final = 2.0
+"""Seconds between two attempts to find a session."""
+_LINGER: Final = 5.0
+"""Seconds for which the connection is kept after the last page: it may just be loaded anew."""
+_HISTORY: Final = 60
+"""Samples of the curve of a unit: a minute."""
+
+
+class Watch:
+    """One session as the pages show it. Belongs to the thread of the event loop.
+
+    Attributes:
+        name: Of the session, and its pid; empty before the first connection.
+        problem: Why there is no connection; empty with one.
+        changes: Grows with every change of rows and messages.
+        lines: The last lines, each with a number from 1 on.
+    """
+
+    def __init__(self, session: str | None) -> None:
+        self._session = session
+        self.name = ""
+        self.problem = "connecting"
+        self.rows: list[UnitRow] = []
+        self.changes = 0
+        self.lines: deque[tuple[int, model.LogLine]] = deque(maxlen=model.LINES_LIMIT)
+        self.last = model.RowLines()
+        self.cpu: dict[Target, deque[float]] = {}
+        self.missed = 0
+        self._count = 0
+        self._link: SessionLink | None = None
+        self._client: ControlClient | None = None
+        self._waiting: dict[int, Callable[[str], None]] = {}
+        """By the identity of the request: two pages may ask for the same."""
+        self._viewers = 0
+        self._viewed = asyncio.Event()
+        self._left_at = 0.0
+
+    def enter(self) -> None:
+        """A page is open."""
+        self._viewers += 1
+        self._viewed.set()
+
+    def leave(self) -> None:
+        self._viewers -= 1
+        self._left_at = time.monotonic()
+
+    async def run(self) -> None:
+        """Keep the connection while pages are open, until cancelled."""
+        try:
+            while True:
+                await self._viewed.wait()
+                if self._link is None and not await self._connect():
+                    await asyncio.sleep(_AGAIN)
+                    continue
+                if self._link is not None:
+                    self._link.poll()
+                await asyncio.sleep(POLL_INTERVAL)
+                if not self._viewers and time.monotonic() - self._left_at > _LINGER:
+                    self._viewed.clear()
+                    self._disconnect("no page is open")
+        finally:
+            self._disconnect("the server ends")
+
+    async def _connect(self) -> bool:
+        try:
+            client = await asyncio.to_thread(connect, self._session)
+        except (NoSessionError, OperationError, OSError) as error:
+            self._say(str(error))
+            return False
+        self._client = client
+        name = f"{client.hello.name} (pid {client.hello.pid})"
+        if name != self.name:
+            self.rows, self.cpu, self.last = [], {}, model.RowLines()
+        # The session sends its last lines again.
+        self.lines.clear()
+        self.name = name
+        self._say("")
+        self._link = SessionLink(client, self)
+        return True
+
+    def _disconnect(self, reason: str) -> None:
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+        for answer in self._waiting.values():
+            answer(reason)
+        self._waiting.clear()
+        self._say(reason)
+
+    def _say(self, problem: str) -> None:
+        if problem != self.problem:
+            self.problem = problem
+            self.changes += 1
+
+    async def status(self, target: Target) -> dict[str, Any]:
+        """Ask for all about a unit, over a connection of its own; raises OperationError."""
+
+        def ask() -> Any:
+            with connect(self._session) as client:
+                return client.ask("status", {"names": [str(target)]})
+
+        try:
+            rows = await asyncio.to_thread(ask)
+        except (NoSessionError, OSError) as error:
+            raise OperationError("internal", str(error)) from None
+        found: dict[str, Any] = rows[0]
+        return found
+
+    async def scrape(self) -> tuple[str, list[UnitRow]]:
+        """Return the name of the session and its rows now; an empty name without a session."""
+
+        def ask() -> tuple[str, list[UnitRow]]:
+            with connect(self._session) as client:
+                rows = msgspec.convert(client.ask("ps"), list[UnitRow], strict=False)
+                return client.hello.name, rows
+
+        try:
+            return await asyncio.to_thread(ask)
+        except (NoSessionError, OperationError, OSError):
+            return "", []
+
+    def carry_out(self, confirmed: Confirmation, answer: Callable[[str], None]) -> None:
+        """Request an operation; ``answer`` gets the reason of a refusal, or an empty text."""
+        if self._link is None:
+            answer(self.problem)
+            return
+        try:
+            self._link.carry_out(confirmed)
+        except OperationError as error:
+            answer(str(error))
+        else:
+            self._waiting[id(confirmed)] = answer
+
+    # What the connection tells.
+
+    def on_rows(self, rows: list[UnitRow]) -> None:
+        self.rows = rows
+        self.last.declare(rows)
+        known = set(map(target_of, rows))
+        self.cpu = {target: curve for target, curve in self.cpu.items() if target in known}
+        for row in rows:
+            curve = self.cpu.setdefault(target_of(row), deque(maxlen=_HISTORY))
+            curve.append(row.cpu_percent or 0.0)
+        self.changes += 1
+
+    def on_line(self, event: dict[str, Any]) -> None:
+        with contextlib.suppress(KeyError, TypeError, ValueError):
+            line = model.line_of(event)
+            self._count += 1
+            self.lines.append((self._count, line))
+            self.last.add(line)
+
+    def on_missed(self, count: int) -> None:
+        self.missed += count
+
+    def on_outcome(self, confirmed: Confirmation, reason: str) -> None:
+        if (answer := self._waiting.pop(id(confirmed), None)) is not None:
+            answer(reason)
+
+    def on_end(self, reason: str) -> None:
+        # Called by the link, which has stopped reading.
+        asyncio.get_running_loop().call_soon(
+            partial(self._disconnect, f"the session has ended: {reason}" if reason else "ended")
+        )

@@ -1,0 +1,129 @@
+"""Who may come in: by the real server, without a session where none is needed."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from tests.cli.web.server import Server, serving
+from tests.support.loopback_network import wrapped
+from tests.support.replay import COMMAND, run
+from tests.support.waiting import until
+
+
+@pytest.fixture(scope="module")
+def free() -> Server:
+    with serving() as server:
+        until(lambda: answers(server), "the page")
+        yield server
+
+
+def answers(server: Server) -> bool:
+    try:
+        return server.status() in {200, 401}
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({}, 200),
+        ({"Host": "localhost"}, 200),
+        ({"Host": "LOCALHOST:1"}, 200),
+        ({"Host": "[::1]:80"}, 200),
+        ({"Host": "evil.example"}, 421),
+        ({"Host": "127.0.0.1.evil.example"}, 421),
+        ({"Host": "127.0.0.1@evil.example"}, 421),
+        ({"Host": "[::1"}, 421),
+        ({"Host": ""}, 421),
+        ({"Host": "localhost:1", "Origin": "http://localhost:1"}, 200),
+        ({"Host": "localhost:1", "Origin": "http://localhost:2"}, 403),
+        ({"Host": "localhost", "Origin": "http://evil.example"}, 403),
+        ({"Host": "localhost", "Origin": "null"}, 403),
+    ],
+)
+def test_names_and_origins(free: Server, headers: dict[str, str], status: int) -> None:
+    assert free.status("/metrics", **headers) == status
+    assert free.socket(**{"Host": "localhost", **headers}) == (101 if status == 200 else 403)
+
+
+def test_the_page_may_not_be_framed_and_tells_nothing_about_itself(free: Server) -> None:
+    _, headers, _ = free.get()
+    assert headers["x-frame-options"] == "DENY"
+    assert headers["x-content-type-options"] == "nosniff"
+    assert "server" not in headers
+    assert free.status("/docs") == free.status("/openapi.json") == 404
+
+
+def test_without_a_token_nothing_is_shown(tmp_path: Path) -> None:
+    kept = tmp_path / "tokens"
+    with serving("--token-file", kept, "--allow-control", count=2) as server:
+        until(lambda: answers(server), "the page")
+        look, act = server.tokens
+        assert kept.stat().st_mode & 0o777 == 0o600
+        assert kept.read_text().split() == [look, act]
+        for path in ("/", "/metrics", "/_nicegui/anything"):
+            assert server.status(path) == 401
+        assert server.socket() == 403
+        status, headers, text = server.get(f"/?token={look}")
+        assert status == 200
+        assert 'content="0;url=/"' in text
+        cookie = headers["set-cookie"]
+        assert "HttpOnly" in cookie
+        assert "SameSite=Strict" in cookie
+        ours = cookie.partition(";")[0]
+        assert server.status(Cookie=ours) == 200
+        assert server.socket(Cookie=ours) == 101
+        assert server.status("/metrics", Authorization=f"Bearer {look}") == 200
+        assert "read only" in server.get(Cookie=ours)[2]
+        assert "read only" not in server.get(Cookie=f"{ours.partition('=')[0]}={act}")[2]
+        # Where the path leads to another server, the visitor stays here.
+        assert 'url=/evil.example"' in server.get(f"//evil.example?token={look}")[2]
+    with serving("--token-file", kept, "--allow-control", count=2) as again:
+        assert again.tokens == [look, act]
+
+
+def test_guessing_is_slow(tmp_path: Path) -> None:
+    with serving("--token-file", tmp_path / "tokens") as server:
+        until(lambda: answers(server), "the page")
+        seen = [server.status(f"/?token=guess{number}") for number in range(15)]
+        assert seen[0] == 401
+        assert seen[-1] == 429
+        # The right one is not held up.
+        assert server.status(f"/?token={server.tokens[0]}") == 200
+
+
+def test_a_token_file_that_others_can_read_is_refused(tmp_path: Path) -> None:
+    kept = tmp_path / "tokens"
+    kept.write_text("a" * 20 + "\n" + "b" * 20 + "\n")
+    kept.chmod(0o644)
+    assert f"chmod 600 {kept}" in run("web", "--token-file", kept, code=2).stderr
+    kept.chmod(0o600)
+    kept.write_text("short\nalso\n")
+    assert "at least 16 characters" in run("web", "--token-file", kept, code=2).stderr
+    assert "belong together" in run("web", "--key", kept, code=2).stderr
+    assert "is not an IP address" in run("web", "--bind", "robot.local", code=2).stderr
+
+
+def test_other_addresses_demand_tokens() -> None:
+    command = wrapped(COMMAND, "web", "--bind", "0.0.0.0", "--port", "0")
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert re.search(r":\d+/\?token=\S{32} \(to look\)", process.stdout.readline())
+        process.terminate()
+
+
+def test_there_are_limits(tmp_path: Path) -> None:
+    with serving("--clients", "3") as server:
+        until(lambda: answers(server), "the page")
+        assert [server.socket() for _ in range(4)] == [101, 101, 101, 403]
+        server.open.pop(0).close()
+        until(lambda: server.socket() == 101, "a place that is free again")
+        with ThreadPoolExecutor(16) as visitors:
+            seen = set(visitors.map(server.status, ["/nothing"] * 1500))
+        assert seen == {404, 429}

@@ -1,0 +1,121 @@
+"""The page of a real session, in a real browser, and its metrics."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from prometheus_client.openmetrics.parser import text_string_to_metric_families
+
+from benchmarks.browser import Browser, find_browser
+from tests.cli.web.server import Server, serving
+from tests.cli.web.test_access import answers
+from tests.support.replay import Replay, replaying
+from tests.support.waiting import until
+
+BROWSER = find_browser()
+needs_browser = pytest.mark.skipif(
+    BROWSER is None,
+    reason="no Chromium; install one (Debian: chromium) or name it in PLAY_LAUNCH_BROWSER",
+)
+CONFIG = """\
+version: 1
+name: shown
+environment: {ROS_AUTOMATIC_DISCOVERY_RANGE: LOCALHOST}
+containers:
+  - name: chat
+    container_type: isolated
+    composable_nodes:
+      - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}
+"""
+BUTTONS = "[...document.querySelectorAll('button')]"
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Replay]:
+    config = tmp_path / "shown.yaml"
+    config.write_text(CONFIG)
+    with replaying(config, tmp_path / "log") as replay:
+        replay.read_until_states({"/talker": "loaded"})
+        yield replay
+
+
+@pytest.fixture
+def browser(tmp_path: Path) -> Iterator[Browser]:
+    assert BROWSER is not None
+    with Browser(BROWSER, tmp_path / "profile") as started:
+        started.size(1200, 900)
+        yield started
+
+
+def row_of(name: str) -> str:
+    """The text of a row, as an expression of JavaScript."""
+    return (
+        "[...document.querySelectorAll('tbody tr')].map((each) => each.innerText)"
+        f".find((each) => each.includes('{name}')) ?? ''"
+    )
+
+
+def click(browser: Browser, label: str) -> None:
+    button = f"{BUTTONS}.findLast((each) => each.innerText.trim() === '{label}')"
+    browser.until(f"{button} !== undefined")
+    browser.run(f"{button}.click()")
+
+
+def visit(browser: Browser, server: Server) -> None:
+    until(lambda: answers(server), "the page")
+    browser.call("Page.navigate", url=server.url)
+    browser.until(f"({row_of('/talker')}).includes('loaded')")
+
+
+def test_metrics_tell_the_states(session: Replay) -> None:
+    with serving("--session", session.pid) as server:
+        until(lambda: answers(server), "the page")
+        status, headers, text = server.get("/metrics")
+        assert status == 200
+        assert headers["content-type"].startswith("application/openmetrics-text")
+        families = {each.name: each for each in text_string_to_metric_families(text)}
+        states = families["play_launch_unit_state"].samples
+        up = {each.labels["unit"]: each.value for each in states if "up" in each.labels.values()}
+        assert up == {"/chat": 1, "/chat:/talker": 1}
+        assert families["play_launch_unit_restarts"].samples[0].name.endswith("_total")
+        assert families["play_launch_session_up"].samples[0].value == 1
+        session.process.send_signal(signal.SIGINT)
+        session.read_all()
+        until(lambda: 'session_up{session=""} 0.0' in server.get("/metrics")[2], "its end")
+
+
+@needs_browser
+def test_a_crash_appears_and_a_click_reloads(session: Replay, browser: Browser) -> None:
+    with serving("--session", session.pid, "--allow-control") as server:
+        visit(browser, server)
+        os.kill(session.pids()["/talker"], signal.SIGSEGV)
+        browser.until(f"/loaded\\s.*\\s1\\s/s.test({row_of('/talker')})")
+        click(browser, "/talker")
+        browser.until("document.body.innerText.includes('SIGSEGV')")
+        click(browser, "reload")
+        browser.until("document.body.innerText.includes('reload /talker?')")
+        click(browser, "reload")
+        browser.until("document.body.innerText.includes('/talker reloaded')")
+        browser.until("document.querySelector('.q-dialog').innerText.includes('publishing')")
+        assert not browser.errors
+
+
+@needs_browser
+def test_who_may_only_look_gets_no_buttons(session: Replay, browser: Browser) -> None:
+    browser.size(390, 800)
+    with serving("--session", session.pid) as server:
+        visit(browser, server)
+        assert browser.run("document.documentElement.scrollWidth") == 390
+        click(browser, "/talker")
+        browser.until("document.querySelector('.q-dialog').innerText.includes('Declared')")
+        labels = browser.run(f"{BUTTONS}.map((each) => each.innerText.trim())")
+        assert not {"stop", "restart", "reload", "unload"} & set(labels)
+        session.process.send_signal(signal.SIGINT)
+        session.read_all()
+        browser.until("document.querySelector('[role=alert]').innerText !== ''")
+        hosts = {each.partition("//")[2].partition("/")[0] for each in browser.requests}
+        assert hosts <= {f"127.0.0.1:{server.port}"}, "the page works without a network"
