@@ -3,8 +3,8 @@
     python -m benchmarks.pictures [--only NAME...] [FOLDER]
 
 They go into FOLDER, by default docs/: the demo while it comes up and when it is over, the screen of
-`play-launch top`, also over three machines, which needs root, and the page of a session, which
-needs a Chromium.
+`play-launch top`, also over three machines, which needs root, and the pages of `play-launch web`
+and of a recorded session, which need a Chromium.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ from rich.style import Style
 from rich.text import Text
 
 from benchmarks.bring_up import COMMAND, ENVIRONMENT
-from benchmarks.browser import find_browser
+from benchmarks.browser import Browser, find_browser
 from benchmarks.report import pictures as report_pictures
 from benchmarks.running import running
 from play_launch.cli.top.app import ScreenEnd, TopApp
 from play_launch.control.sessions import connect
+from tests.cli.web.server import serving
 from tests.support.terminal import Terminal, on_terminal
 
 ROOT = Path(__file__).parents[1]
@@ -45,6 +46,7 @@ CRASHES = 9.0
 """Seconds in which some of them crash."""
 COLUMNS, LINES = 132, 40
 TOP_SIZE = 100, 28
+WEB_SIZE = 1000, 760
 ANSWER = 30.0
 """Seconds for samples and lines of the session."""
 SLOW = "waiting on /slow_starter … 2"
@@ -158,12 +160,30 @@ def without_network(picture: str) -> str:
     return plain.replace("Fira Code, monospace", "monospace")
 
 
+def web(folder: Path) -> None:
+    """The page of a running session."""
+    with (
+        tempfile.TemporaryDirectory() as place,
+        running(ROOT / CRASHING, Path(place) / "logs", NODES) as run,
+        serving("--session", run.pid) as server,
+        Browser(_browser(), Path(place) / "profile") as browser,
+    ):
+        browser.size(*WEB_SIZE)
+        browser.call("Page.navigate", url=server.url)
+        time.sleep(CRASHES)
+        browser.picture(folder / "web.png")
+
+
 def report(folder: Path) -> None:
-    """The page of a session, in light and in dark."""
+    """The page of a recorded session, in light and in dark."""
+    report_pictures(folder, _browser())
+
+
+def _browser() -> str:
     program = find_browser()
     if program is None:
         raise SystemExit("the page of a session needs Chromium (Debian: chromium)")
-    report_pictures(folder, program)
+    return program
 
 
 def write(path: Path, picture: str) -> None:
@@ -175,6 +195,7 @@ MAKERS: Mapping[str, Callable[[Path], None]] = {
     "demo": demo,
     "top": top,
     "machines": machines,
+    "web": web,
     "report": report,
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import subprocess
@@ -41,7 +42,10 @@ def test_hosts_of_a_killed_demo_are_removed_by_the_next(tmp_path: Path) -> None:
     left = f"pl{run.pid}h2"
     assert left in subprocess.check_output(["ip", "netns", "list"], text=True)
     pids = subprocess.check_output(["ip", "netns", "pids", left], text=True).split()
-    processes = [psutil.Process(int(pid)) for pid in pids]
+    processes = []
+    for pid in pids:
+        with contextlib.suppress(psutil.NoSuchProcess):  # it ended by itself
+            processes.append(psutil.Process(int(pid)))
     with Namespaces(tmp_path / "hosts", 1):
         assert left not in subprocess.check_output(["ip", "netns", "list"], text=True)
     assert processes

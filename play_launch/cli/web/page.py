@@ -58,7 +58,7 @@ _STATE: Final = """
 """
 _CPU: Final = """
 <q-td :props="props" class="no-wrap"><svg v-if="props.value" width="60" height="14"
-  class="q-mr-xs" aria-hidden="true"><polyline fill="none" stroke="currentColor"
+  class="inline q-mr-xs" aria-hidden="true"><polyline fill="none" stroke="currentColor"
   :points="props.row.curve" /></svg>{{ props.value }}</q-td>
 """
 _LAST: Final = """

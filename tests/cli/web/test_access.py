@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from tests.support.waiting import until
 
 
 @pytest.fixture(scope="module")
-def free() -> Server:
+def free() -> Iterator[Server]:
     with serving() as server:
         until(lambda: answers(server), "the page")
         yield server
