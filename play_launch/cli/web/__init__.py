@@ -84,7 +84,7 @@ def web(  # noqa: PLR0917 - options, by name
         fail("--certificate and --key belong together")
     address = _address(bind)
     demands = token_file is not None or not address.is_loopback
-    tokens = _tokens(token_file) if demands else None
+    tokens, is_new = _tokens(token_file) if demands else (None, False)
     from play_launch.cli.web.access import Rules  # noqa: PLC0415
 
     rules = Rules(
@@ -100,8 +100,11 @@ def web(  # noqa: PLR0917 - options, by name
         shown = socket.gethostname() if address.is_unspecified else bind
         shown = f"[{shown}]" if ":" in shown else shown
         url = f"{scheme}://{shown}:{listener.getsockname()[1]}{root_path}/"
-        for line in _invitation(url, tokens, allows_acting=allow_control):
-            say_live(line)
+        if tokens is None or is_new:
+            for line in _invitation(url, tokens, allows_acting=allow_control):
+                say_live(line)
+        else:
+            say_live(f"{url}?token= with a token of {token_file}")
         return asyncio.run(_serve(session, rules, listener, _tls(certificate, key), root_path))
 
 
@@ -127,21 +130,22 @@ def _own_names(bind: str, more: list[str] | tuple[str, ...]) -> frozenset[str]:
     return frozenset(each.lower() for each in names)
 
 
-def _tokens(file: Path | None) -> Tokens:
+def _tokens(file: Path | None) -> tuple[Tokens, bool]:
+    """Return the tokens, and whether they are new."""
     from play_launch.cli.web.access import Tokens  # noqa: PLC0415
 
     made = Tokens.made()
     if file is None:
-        return made
+        return made, True
     try:
         descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
     except FileExistsError:
-        return _kept(file)
+        return _kept(file), False
     except OSError as error:
         fail(f"--token-file: {file} cannot be written: {error.strerror}")
     with os.fdopen(descriptor, "w", encoding="ascii") as opened:
         opened.write(f"{made.look}\n{made.act}\n")
-    return made
+    return made, True
 
 
 def _kept(file: Path) -> Tokens:
@@ -199,18 +203,27 @@ async def _serve(
     from nicegui import ui  # noqa: PLC0415
 
     from play_launch.cli.web.access import Access  # noqa: PLC0415
+    from play_launch.cli.web.commands import CommandError, Commands  # noqa: PLC0415
     from play_launch.cli.web.metrics import CONTENT_TYPE, exposition  # noqa: PLC0415
     from play_launch.cli.web.page import declare  # noqa: PLC0415
     from play_launch.cli.web.watch import Watch  # noqa: PLC0415
 
     application = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     watch = Watch(session)
+    commands = Commands(session)
 
     @application.get("/metrics")
     async def metrics() -> Response:
         return Response(exposition(*await watch.scrape()), media_type=CONTENT_TYPE)
 
-    declare(watch)
+    @application.get("/report/{name}")
+    async def report(name: str) -> Response:
+        try:
+            return Response(await commands.report(name), media_type="text/html")
+        except CommandError as error:
+            return Response(f"{error}\n", status_code=503, media_type="text/plain")
+
+    declare(watch, commands)
     ui.run_with(application, title="play-launch", dark=None, show_welcome_message=False)
     guarded: Any = Access(application, rules)
     config = uvicorn.Config(

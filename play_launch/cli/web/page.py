@@ -12,14 +12,16 @@ from play_launch.cli.output import clock, duration, size
 from play_launch.cli.status import fields
 from play_launch.cli.top import model
 from play_launch.cli.web.access import RIGHT, Right
+from play_launch.cli.web.commands import CommandError
 from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, OperationError
 from play_launch.control.units import target_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from nicegui.events import GenericEventArguments
+    from nicegui.events import GenericEventArguments, ValueChangeEventArguments
 
+    from play_launch.cli.web.commands import Commands
     from play_launch.cli.web.watch import Watch
     from play_launch.control.messages import UnitRow
     from play_launch.control.units import Target
@@ -67,24 +69,40 @@ _LAST: Final = """
 PROBLEMS_FIRST: Final = "problems first"
 
 
-def declare(watch: Watch) -> None:
-    """Declare the page, for all visitors."""
+def declare(watch: Watch, commands: Commands) -> None:
+    """Declare the pages, for all visitors."""
 
     @ui.page("/", title="play-launch")
     def index(request: Request) -> None:
-        _Page(watch, Right(request.scope.get(RIGHT, Right.NOTHING)))
+        _Page(watch, commands, Right(request.scope.get(RIGHT, Right.NOTHING)))
+
+    @ui.page("/sessions", title="sessions")
+    async def sessions() -> None:
+        _style()
+        with ui.header().classes("items-center"):
+            ui.link("play-launch", "/").classes("text-white text-h6")
+        ui.label("Sessions, the newest first").classes("text-h6")
+        for entry in await commands.sessions():
+            with ui.row().classes("items-center"):
+                ui.link(entry.name, f"/report/{entry.name}", new_tab=True)
+                ui.label(f"{size(entry.size)}{', running' if entry.is_running else ''}")
+
+
+def _style() -> None:
+    ui.dark_mode(value=None)
+    ui.colors(primary="#0d47a1")
 
 
 class _Page:
     """One visitor's page."""
 
-    def __init__(self, watch: Watch, right: Right) -> None:
+    def __init__(self, watch: Watch, commands: Commands, right: Right) -> None:
         self._watch = watch
+        self._commands = commands
         self._may_act = right is Right.ACT
         self._seen = -1
         self._story: _Story | None = None
-        ui.dark_mode(value=None)
-        ui.colors(primary="#0d47a1")
+        _style()
         client = ui.context.client
         client.on_connect(watch.enter)
         client.on_disconnect(watch.leave)
@@ -93,6 +111,7 @@ class _Page:
             self._counts = ui.label()
             ui.space()
             ui.label("" if self._may_act else "read only")
+            ui.link("Sessions", "/sessions").classes("text-white")
         self._problem = ui.label().classes("text-red-9 text-weight-bold").props('role="alert"')
         with ui.row().classes("items-center w-full"):
             self._pattern = ui.input("Filter by name", on_change=self._draw_rows).props("clearable")
@@ -106,6 +125,8 @@ class _Page:
         for name, template in slots.items():
             self._table.add_slot(f"body-cell-{name}", template)
         self._table.on("open", self._open)
+        with ui.expansion("Connections", on_value_change=self._check).classes("w-full") as found:
+            self._connections = found
         ui.label("Log").classes("text-h6")
         self._log = _Log(watch)
         ui.timer(_REFRESH, self._refresh)
@@ -149,6 +170,22 @@ class _Page:
             "memory": "" if row.memory_bytes is None else size(row.memory_bytes),
             "last": self._watch.last.last.get(target, "")[:200],
         }
+
+    async def _check(self, event: ValueChangeEventArguments[bool]) -> None:
+        if not event.value:
+            return
+        self._connections.clear()
+        with self._connections:
+            ui.label("What does not connect in the ROS graph is being looked for …")
+        try:
+            found = [(each["name"], each["text"]) for each in await self._commands.check_graph()]
+        except CommandError as error:
+            found = [("", str(error))]
+        self._connections.clear()
+        with self._connections, ui.grid(columns="auto 1fr").classes("gap-x-4"):
+            for name, text in found or [("", "everything connects")]:
+                ui.label(model.clean(name)).classes("text-weight-bold")
+                ui.label(model.clean(text)).style("overflow-wrap: anywhere")
 
     async def _open(self, event: GenericEventArguments) -> None:
         row = next((row for row in self._watch.rows if str(target_of(row)) == event.args), None)

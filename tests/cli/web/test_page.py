@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,9 +14,10 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families
 from benchmarks.browser import Browser, find_browser
 from tests.cli.web.server import Server, serving
 from tests.cli.web.test_access import answers
-from tests.support.replay import Replay, replaying
+from tests.support.replay import Replay, replaying, run
 from tests.support.waiting import until
 
+PAGE = Path(__file__).parents[3] / "docs" / "web.md"
 BROWSER = find_browser()
 needs_browser = pytest.mark.skipif(
     BROWSER is None,
@@ -32,6 +34,13 @@ containers:
       - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}
 """
 BUTTONS = "[...document.querySelectorAll('button')]"
+
+
+def test_the_configuration_of_the_documentation_is_right(tmp_path: Path) -> None:
+    (example,) = re.findall(r"```yaml\n(version: .*?)```", PAGE.read_text(), re.DOTALL)
+    config = tmp_path / "robot.yaml"
+    config.write_text(example)
+    run("check", config, code=0)
 
 
 @pytest.fixture
@@ -86,6 +95,30 @@ def test_metrics_tell_the_states(session: Replay) -> None:
         session.process.send_signal(signal.SIGINT)
         session.read_all()
         until(lambda: 'session_up{session=""} 0.0' in server.get("/metrics")[2], "its end")
+
+
+def test_sessions_have_their_reports(session: Replay) -> None:
+    with serving("--session", session.pid) as server:
+        until(lambda: answers(server), "the page")
+        name = session.bag.parent.resolve().name
+        assert f"/report/{name}" in server.get("/sessions")[2]
+        status, headers, text = server.get(f"/report/{name}")
+        assert status == 200
+        assert headers["content-type"].startswith("text/html")
+        assert "/talker" in text
+        for other in ("nothing", "..", "%2e%2e", "..%2f..%2fetc"):
+            assert server.status(f"/report/{other}") in {404, 503}
+
+
+@needs_browser
+def test_the_connections_are_checked(session: Replay, browser: Browser) -> None:
+    with serving("--session", session.pid) as server:
+        visit(browser, server)
+        try:
+            browser.run("document.querySelector('.q-expansion-item .q-item').click()")
+            browser.until("document.body.innerText.includes('everything connects')")
+        finally:
+            run("daemon", "stop", code=0)
 
 
 @needs_browser
