@@ -80,3 +80,10 @@ def test_several_machines_lose_no_line() -> None:
     found = json.loads(run("machines", "--runs=1", "--cuts=1", "--containers=1", "--json"))
     assert found["ticks"] > 10
     assert found["lost"] == 0
+
+
+@pytest.mark.skipif(find_browser() is None, reason="no Chromium")
+def test_a_crash_is_on_the_page() -> None:
+    found = json.loads(run("web", "--crashes=2", "--seconds=1", "--viewers", "0", "1", "--json"))
+    assert len(found["crash_to_page"]) == 2
+    assert set(found["cpu"]) == {"0", "1"}
