@@ -27,7 +27,7 @@ _MOST_MACHINES: Final = 3
 """As many as the demo has containers."""
 
 
-def demo(
+def demo(  # noqa: PLR0917 - options, by name
     seconds: Annotated[
         float, options.time("Stop after this time: 30, 2min.", "--seconds", default="10s")
     ] = 10.0,
@@ -43,46 +43,92 @@ def demo(
             "it and removed afterwards, with the recordings of all but the first. Needs root.",
         ),
     ] = 1,
+    web: Annotated[
+        bool,
+        typer.Option(
+            "--web", help="With a node that crashes again and again, and a page for a browser."
+        ),
+    ] = False,
 ) -> int:
     """Start the demo system: three containers with eight nodes, on this machine only.
 
     It is `replay` of a configuration that is part of the package.
     """
-    if machines == 1:
+    if web and machines > 1:
+        fail("--web: the hosts of --machines cannot be reached by a browser of this one")
+    if machines == 1 and not web:
         from play_launch.cli.replay import bring_up  # noqa: PLC0415
 
         return bring_up(DEMO, log_dir, seconds, quiet=quiet, as_json=as_json)
-    from play_launch.cli.systemd_unit import program  # noqa: PLC0415
+    with tempfile.TemporaryDirectory(prefix="play-launch-demo-") as name:
+        folder = Path(name)
+        config = folder / "demo.yaml"
+        if web:
+            from play_launch.cli.replay import bring_up  # noqa: PLC0415
+
+            _write(config, _with_page())
+            return bring_up(config, log_dir, seconds, quiet=quiet, as_json=as_json)
+        words = [
+            *(("--log-dir", str(log_dir.absolute())) if log_dir else ()),
+            *(("--quiet",) if quiet else ()),
+            *(("--json",) if as_json else ()),
+        ]
+        _write(config, _spread(machines, seconds))
+        return _on_hosts(folder, machines, ["replay", str(config), *words], as_json=as_json)
+
+
+def _on_hosts(folder: Path, machines: int, words: Sequence[str], *, as_json: bool) -> int:
     from play_launch.deploy.machines.namespaces import Namespaces, missing  # noqa: PLC0415
 
     if problem := missing():
         fail(f"--machines: {problem}")
-    words = [
-        *(("--log-dir", str(log_dir.absolute())) if log_dir else ()),
-        *(("--quiet",) if quiet else ()),
-        *(("--json",) if as_json else ()),
-    ]
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)  # the hosts are to be removed
-    with tempfile.TemporaryDirectory(prefix="play-launch-demo-") as folder:
-        config = Path(folder) / "demo.yaml"
-        config.write_text(
-            yaml.safe_dump(_spread(machines, seconds, str(program())), sort_keys=False)
-        )
-        try:
-            with Namespaces(Path(folder), machines) as hosts:
-                if not as_json:
-                    on_h1 = shlex.join(hosts.command(str(program())))
-                    say_live(f"hosts h1 to h{machines} are up; in another shell: {on_h1} top")
-                return _run(hosts, [str(program()), "replay", str(config), *words])
-        except OSError as error:
-            fail(f"--machines: the hosts cannot be made: {error}")
+    try:
+        with Namespaces(folder, machines) as hosts:
+            if not as_json:
+                on_h1 = shlex.join(hosts.command(_program()))
+                say_live(f"hosts h1 to h{machines} are up; in another shell: {on_h1} top")
+            return _run(hosts, [_program(), *words])
+    except OSError as error:
+        fail(f"--machines: the hosts cannot be made: {error}")
 
 
-def _spread(machines: int, seconds: float, program: str) -> dict[str, Any]:
+def _program() -> str:
+    from play_launch.cli.systemd_unit import program  # noqa: PLC0415
+
+    return str(program())
+
+
+def _write(path: Path, config: dict[str, Any]) -> None:
+    path.write_text(yaml.safe_dump(config, sort_keys=False))
+
+
+def _with_page() -> dict[str, Any]:
+    """Return the demo's configuration with a page, and a node that crashes."""
+    from play_launch.cli.web import require_nicegui  # noqa: PLC0415
+
+    require_nicegui()
+    config: dict[str, Any] = yaml.safe_load(DEMO.read_text())
+    config["name"] = "demo-web"
+    unlucky = {
+        "package": "play_launch_demo",
+        "plugin": "play_launch_demo::Crasher",
+        "name": "unlucky",
+        "parameters": {"how": "segv", "after": 2.0},
+        "restart": {"max_restarts": 100, "backoff": {"initial": "1 s", "maximum": "5 s"}},
+    }
+    lab = {"name": "lab", "container_type": "isolated", "composable_nodes": [unlucky]}
+    config["containers"].append(lab)
+    page = [_program(), "web", "--session", "demo-web", "--allow-control"]
+    config["nodes"] = [{"name": "page", "command": page}]
+    return config
+
+
+def _spread(machines: int, seconds: float) -> dict[str, Any]:
     """Return the demo's configuration with its containers on h1, h2 and so on in turn."""
     config: dict[str, Any] = yaml.safe_load(DEMO.read_text())
-    others = {"service": "none", "play_launch": program}
+    others = {"service": "none", "play_launch": _program()}
     config["duration"] = seconds
     config["environment"] = {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",

@@ -94,7 +94,7 @@ def web(  # noqa: PLR0917 - options, by name
         clients=clients,
         is_secure=certificate is not None,
     )
-    _require_nicegui()
+    require_nicegui()
     with _listen(address, port) as listener:
         scheme = "https" if certificate else "http"
         shown = socket.gethostname() if address.is_unspecified else bind
@@ -162,7 +162,8 @@ def _kept(file: Path) -> Tokens:
         fail(f"--token-file: {file}: {error}; remove it for new ones")
 
 
-def _require_nicegui() -> None:
+def require_nicegui() -> None:
+    """Raise OperationError where the extra `web` is not installed."""
     try:
         import nicegui  # noqa: F401, PLC0415 - an extra
     except ModuleNotFoundError:

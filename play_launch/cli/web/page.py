@@ -135,13 +135,13 @@ class _Page:
         self._log.refresh()
         if self._story is not None:
             self._story.log.refresh()
+        self._problem.text = self._watch.complaint
         if self._seen == self._watch.changes:
             return
         self._seen = self._watch.changes
         self._title.text = self._watch.name or "play-launch"
         ui.page_title(self._title.text)
         self._counts.text = model.counted(self._watch.rows) if self._watch.rows else ""
-        self._problem.text = self._watch.problem
         self._draw_rows()
 
     def _draw_rows(self) -> None:

@@ -29,6 +29,8 @@ _AGAIN: Final = 2.0
 """Seconds between two attempts to find a session."""
 _LINGER: Final = 5.0
 """Seconds for which the connection is kept after the last page: it may just be loaded anew."""
+_SHOWN_SILENCE: Final = 2.0
+"""Seconds without an answer that are reported."""
 _HISTORY: Final = 60
 """Samples of the curve of a unit: a minute."""
 
@@ -61,6 +63,14 @@ class Watch:
         self._viewers = 0
         self._viewed = asyncio.Event()
         self._left_at = 0.0
+
+    @property
+    def complaint(self) -> str:
+        """What is wrong with the connection at the moment; empty if nothing is."""
+        silence = 0.0 if self._link is None else self._link.silence
+        if self.problem or silence < _SHOWN_SILENCE:
+            return self.problem
+        return f"the session has not answered for {silence:.0f} s"
 
     def enter(self) -> None:
         """A page is open."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -147,8 +148,23 @@ def test_who_may_only_look_gets_no_buttons(session: Replay, browser: Browser) ->
         browser.until("document.querySelector('.q-dialog').innerText.includes('Declared')")
         labels = browser.run(f"{BUTTONS}.map((each) => each.innerText.trim())")
         assert not {"stop", "restart", "reload", "unload"} & set(labels)
+        problem = "document.querySelector('[role=alert]').innerText"
+        session.process.send_signal(signal.SIGSTOP)
+        browser.until(f"{problem}.includes('has not answered for')")
+        session.process.send_signal(signal.SIGCONT)
+        browser.until(f"{problem} === ''")
         session.process.send_signal(signal.SIGINT)
         session.read_all()
-        browser.until("document.querySelector('[role=alert]').innerText !== ''")
+        browser.until(f"{problem} !== ''")
         hosts = {each.partition("//")[2].partition("/")[0] for each in browser.requests}
         assert hosts <= {f"127.0.0.1:{server.port}"}, "the page works without a network"
+
+
+def test_the_demo_has_a_page(tmp_path: Path) -> None:
+    words = ("demo", "--web", "--seconds", "8", "--json", "--log-dir", str(tmp_path))
+    events = [json.loads(line) for line in run(*words).stdout.splitlines()]
+    printed = [each["text"] for each in events if each.get("process") == "/page"]
+    # The port may be taken, and then this is said.
+    assert any("http://127.0.0.1:8080/" in each or "--port 8080" in each for each in printed)
+    crashed = {each["node"] for each in events if each.get("state") == "crashed"}
+    assert crashed == {"/unlucky"}
