@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from play_launch.postmortem.connections import Connections
+from play_launch.postmortem.diagnostics import TYPE as DIAGNOSTIC_ARRAY
+from play_launch.postmortem.diagnostics import Diagnostics
 from play_launch.postmortem.events import UnreadableEventError
 from play_launch.postmortem.last_lines import LATE_LINES, LastLines
 from play_launch.postmortem.parameters import TOPICS as PARAMETER_TOPICS
@@ -85,6 +87,7 @@ class Timeline:
         self.groups: dict[str, GroupUse] = {}
         """By the keys of their units."""
         self.parameters = Parameters()
+        self.diagnostics = Diagnostics()
         self.lines = LastLines()
         self.connections = Connections()
         self._version1 = Version1()
@@ -140,6 +143,8 @@ class Timeline:
             return self.samples.take_system
         if topic.name in PARAMETER_TOPICS:
             return self._take_parameters
+        if topic.type_name == DIAGNOSTIC_ARRAY:
+            return self._take_diagnostics
         return self._take_event if topic.name == topics.GRAPH.name else self.failures_of(topic)
 
     def failures_of(self, topic: RecordedTopic) -> Take | None:
@@ -155,6 +160,12 @@ class Timeline:
     def _take_parameters(self, message: Message) -> None:
         try:
             self.parameters.take(message)
+        except UnreadableEventError as error:
+            self.session.reader.damaged(str(error))
+
+    def _take_diagnostics(self, message: Message) -> None:
+        try:
+            self.diagnostics.take(message)
         except UnreadableEventError as error:
             self.session.reader.damaged(str(error))
 

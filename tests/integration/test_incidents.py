@@ -1,4 +1,4 @@
-"""Ten staged incidents, of real programs; `explain` names node, cause and place at once."""
+"""Eleven staged incidents, of real programs; `explain` names node, cause and place at once."""
 
 from __future__ import annotations
 
@@ -60,6 +60,29 @@ rclpy.init()
 node = rclpy.create_node({name!r})
 qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.{policy})
 kept = node.{make}
+rclpy.spin(node)
+"""
+
+
+MONITOR = """
+import time
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+rclpy.init()
+node = rclpy.create_node("monitor")
+publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+while publisher.get_subscription_count() == 0:
+    time.sleep(0.02)
+print("subscribed", flush=True)
+for level, text in ((DiagnosticStatus.OK, "ok"), (DiagnosticStatus.ERROR, "no data"),
+                    (DiagnosticStatus.OK, "fine again")):
+    status = DiagnosticStatus(level=level, name="lidar: data", message=text, hardware_id="front")
+    status.values = [KeyValue(key="rate", value="0.0"), KeyValue(key="", value="x")]
+    array = DiagnosticArray(status=[status, DiagnosticStatus(level=b"\\0", name="gps")])
+    array.header.stamp = node.get_clock().now().to_msg()
+    publisher.publish(array)
+    time.sleep(0.3)
+print("fine again", flush=True)
 rclpy.spin(node)
 """
 
@@ -228,6 +251,21 @@ def test_a_parameter_of_the_wrong_type(tmp_path: Path) -> None:
         "play_launch_demo::Crasher",
         "robot.yaml:",
     )
+
+
+def test_an_error_in_diagnostics(tmp_path: Path) -> None:
+    monitor = tmp_path / "monitor.py"
+    monitor.write_text(MONITOR)
+    config = tmp_path / "monitored.yaml"
+    command = json.dumps([sys.executable, str(monitor)])
+    config.write_text(PROCESS.format(name="monitor", duration="60 s", command=command))
+    with replaying(config, tmp_path / "log") as replay:
+        # What it reports is recorded once its publisher is known.
+        replay.read_until(lambda event: "subscribed" in event.get("text", ""), "its recorder")
+        replay.read_until(lambda event: "fine again" in event.get("text", ""), "its reports")
+    done = run("explain", tmp_path / "log/latest", code=1).stdout
+    assert "lidar: data (front) was reported as ERROR " in done
+    assert "  Cause: no data, for " in done
 
 
 def test_a_node_that_is_deaf_to_its_stop(tmp_path: Path) -> None:

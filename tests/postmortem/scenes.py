@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from play_launch.config.model import ParameterType
 from play_launch.config.node_key import NodeKey
-from play_launch.container.cdr.messages import NODE_PARAMETERS, PARAMETER_EVENT
+from play_launch.container.cdr.messages import DIAGNOSTIC_ARRAY, NODE_PARAMETERS, PARAMETER_EVENT
 from play_launch.postmortem.bag_reader import ChannelInfo, RecordedTopic
 from play_launch.postmortem.findings import Finding, findings
 from play_launch.postmortem.records import MESSAGE
@@ -18,7 +18,7 @@ from play_launch.postmortem.timeline import Timeline, read_timeline
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
-from play_launch.recording.topics import METADATA_NAME
+from play_launch.recording.topics import METADATA_NAME, Topic
 from play_launch.supervisor.endpoints import Endpoint
 from play_launch.supervisor.events import (
     ComponentEvent,
@@ -45,10 +45,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.postmortem.parameters import Parameters
-    from play_launch.recording.topics import Topic
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
+DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 NAN = float("nan")
 RELOADED = ("it is loaded again at once", Sequel.RELOAD)
 """What the supervisor does, in the words of the first version and as a code."""
@@ -102,6 +102,15 @@ class Scene:
         fields = {f"{kind}_parameters": parameters(values) for kind, values in changes.items()}
         data = PARAMETER_EVENT.write({"stamp": ns(at), "node": node, **fields})
         self.messages.append((ns(at), topics.PARAMETER_EVENTS, data))
+
+    def diagnostics(self, at: float, **levels: tuple[int, str]) -> None:
+        """A message of ROS: level and message of each status."""
+        status = [
+            {"level": level, "name": name, "message": message, "hardware_id": "", "values": []}
+            for name, (level, message) in levels.items()
+        ]
+        data = DIAGNOSTIC_ARRAY.write({"stamp": ns(at), "frame_id": "", "status": status})
+        self.messages.append((ns(at), DIAGNOSTICS, data))
 
     def node(self, at: float, name: str, state: NodeState, **fields: Any) -> None:
         key = NodeKey(fields.pop("container", "/box"), name)

@@ -10,7 +10,14 @@ import pytest
 
 from play_launch.postmortem import detect
 from play_launch.postmortem.connections import Connections
-from play_launch.postmortem.detect import bring_up, failures, recording, resources, topics
+from play_launch.postmortem.detect import (
+    bring_up,
+    diagnostics,
+    failures,
+    recording,
+    resources,
+    topics,
+)
 from play_launch.postmortem.samples import _is_busy
 from play_launch.postmortem.timeline import Timeline
 from play_launch.postmortem.units import Fault
@@ -153,6 +160,18 @@ BREAKS: Final = {
         "if group.oom_times",
         "if False",
         test_detect.test_what_the_kernel_kills_and_refuses_for_limits,
+    ),
+    "diagnostics_error": Break(
+        diagnostics._bad,
+        "change.level >= ERROR",
+        "change.level > ERROR",
+        test_detect.test_errors_in_diagnostics_and_silence,
+    ),
+    "diagnostics_silent": Break(
+        diagnostics.detect,
+        "silent_ns > _STALE_AFTER",
+        "silent_ns < 0",
+        test_detect.test_errors_in_diagnostics_and_silence,
     ),
     "machine_lost": Break(
         failures._machines,

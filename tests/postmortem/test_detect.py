@@ -15,7 +15,7 @@ from play_launch.supervisor.events import (
     NodeState,
     ProcessEventKind,
 )
-from tests.postmortem.scenes import SECOND, Scene, ns
+from tests.postmortem.scenes import DIAGNOSTICS, SECOND, Scene, ns
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -77,6 +77,37 @@ def test_machines_that_were_lost(tmp_path: Path) -> None:
     )
     assert lost.away == (Downtime("h2", 2 * SECOND), Downtime("h2", None))
     assert text_of(failed)[0] == "machine h3 could not be used at 7.000 s after the start."
+
+
+def test_errors_in_diagnostics_and_silence(tmp_path: Path) -> None:
+    scene = Scene()
+    for at in range(60):
+        lidar = (2, "no data") if at in {5, 6, 7, 20} else (0, "fine")
+        camera = (3, "no frames") if at >= 50 else (1, "warm")
+        scene.diagnostics(at, lidar=lidar, camera=camera)
+        if at < 10:
+            scene.diagnostics(at, gps=(0, "fix"))
+    lidar_bad, camera_stale, gps_silent = scene.story(tmp_path).findings
+    assert text_of(lidar_bad) == (
+        "lidar was reported as ERROR 2 times, first at 5.000 s after the start.",
+        "Cause: no data, for 3.0 s.",
+    )
+    assert lidar_bad.is_failure
+    assert text_of(camera_stale) == (
+        "camera was reported as STALE at 50.000 s after the start.",
+        "Cause: no frames, until the end.",
+    )
+    assert not camera_stale.is_failure
+    assert text_of(gps_silent)[0] == "gps was not reported any more after 9.000 s after the start."
+    assert not gps_silent.is_failure
+
+
+def test_diagnostics_that_cannot_be_read_are_damage(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.messages.append((ns(1), DIAGNOSTICS, b"\0\1\0\0nonsense"))
+    story = scene.story(tmp_path)
+    assert not story.findings
+    assert "/diagnostics cannot be read" in str(story.timeline.session.reader.damages)
 
 
 @pytest.mark.parametrize(("pause", "is_loop"), [(2, True), (20, False)])
