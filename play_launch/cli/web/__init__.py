@@ -42,8 +42,9 @@ def web(  # noqa: PLR0917 - options, by name
         typer.Option(
             "--token-file",
             metavar="FILE",
-            help="Demand tokens, and keep them there, readable by the user only. Other addresses "
-            "than 127.0.0.1 demand tokens always; without a file they are new each time.",
+            help="Demand tokens, and keep them there, readable by the user only. They are demanded "
+            "always with --allow-control, and for other addresses than 127.0.0.1; without a file "
+            "they are new each time.",
             show_default=False,
         ),
     ] = None,
@@ -83,7 +84,8 @@ def web(  # noqa: PLR0917 - options, by name
     if (certificate is None) != (key is None):
         fail("--certificate and --key belong together")
     address = _address(bind)
-    demands = token_file is not None or not address.is_loopback
+    # The control socket is for its user only, and 127.0.0.1 for all users of the machine.
+    demands = token_file is not None or allow_control or not address.is_loopback
     tokens, is_new = _tokens(token_file) if demands else (None, False)
     from play_launch.cli.web.access import Rules  # noqa: PLC0415
 
@@ -110,7 +112,7 @@ def web(  # noqa: PLR0917 - options, by name
 
 def _invitation(url: str, tokens: Tokens | None, *, allows_acting: bool) -> list[str]:
     if tokens is None:
-        return [f"{url} ({'to look and to act' if allows_acting else 'to look'})"]
+        return [f"{url} (to look)"]
     lines = [f"{url}?token={tokens.look} (to look)"]
     if allows_acting:
         lines.append(f"{url}?token={tokens.act} (to act)")

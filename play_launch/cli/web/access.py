@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     Send = Callable[[Message], Awaitable[None]]
     Application = Callable[[Scope, Receive, Send], Awaitable[None]]
 
-COOKIE: Final = "play_launch_token"
+_COOKIE: Final = "play_launch_token_"
+"""With the port behind it: browsers send cookies to all ports of a host."""
 RIGHT: Final = "play_launch.right"
 """Key of the scope under which the application finds the `Right` of a request."""
 _REQUESTS_PER_SECOND: Final = 50.0
@@ -175,13 +176,13 @@ class Access:
         for name, origin in headers:
             if name == b"origin" and urlsplit(origin).netloc.lower() != hosts[0].lower():
                 raise Refusal(403, "pages of other servers may not ask this one")
-        right = self._known(token, headers)
+        right = self._known(token, headers, _cookie_of(scope))
         return right if self._rules.allows_acting else min(right, Right.LOOK)
 
-    def _known(self, token: str | None, headers: Iterable[tuple[bytes, str]]) -> Right:
+    def _known(self, token: str | None, headers: Iterable[tuple[bytes, str]], cookie: str) -> Right:
         if self._rules.tokens is None:
             return Right.ACT
-        given = token if token is not None else _bearer(headers) or _cookie(headers)
+        given = token if token is not None else _bearer(headers) or _cookie(headers, cookie)
         right = self._rules.tokens.right(given) if given else Right.NOTHING
         if right is Right.NOTHING:
             if given and not self._failures.take():
@@ -191,9 +192,8 @@ class Access:
 
     async def _set_cookie(self, scope: Scope, send: Send, token: str) -> None:
         # SameSite=Strict: after a redirect from a foreign link the cookie would not be sent.
-        path = scope.get("root_path", "") + scope["path"]
-        body = f'<meta http-equiv="refresh" content="0;url={_quoted(path)}">'.encode()
-        cookie = f"{COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/; Max-Age=2592000"
+        body = f'<meta http-equiv="refresh" content="0;url={_quoted(scope["path"])}">'.encode()
+        cookie = f"{_cookie_of(scope)}={token}; HttpOnly; SameSite=Strict; Path=/; Max-Age=2592000"
         if self._rules.is_secure:
             cookie += "; Secure"
         headers = [
@@ -228,7 +228,11 @@ def _bearer(headers: Iterable[tuple[bytes, str]]) -> str:
     return ""
 
 
-def _cookie(headers: Iterable[tuple[bytes, str]]) -> str:
+def _cookie_of(scope: Scope) -> str:
+    return f"{_COOKIE}{scope['server'][1]}"
+
+
+def _cookie(headers: Iterable[tuple[bytes, str]], wanted: str) -> str:
     for name, value in headers:
         if name == b"cookie":
             cookies: SimpleCookie = SimpleCookie()
@@ -236,8 +240,8 @@ def _cookie(headers: Iterable[tuple[bytes, str]]) -> str:
                 cookies.load(value)
             except CookieError:
                 return ""
-            if COOKIE in cookies:
-                return cookies[COOKIE].value
+            if wanted in cookies:
+                return cookies[wanted].value
     return ""
 
 

@@ -134,9 +134,10 @@ class Watch:
 
     async def status(self, target: Target) -> dict[str, Any]:
         """Ask for all about a unit, over a connection of its own; raises OperationError."""
+        session = self._client.hello.folder if self._client else self._session
 
         def ask() -> Any:
-            with connect(self._session) as client:
+            with connect(session) as client:
                 return client.ask("status", {"names": [str(target)]})
 
         try:

@@ -88,7 +88,19 @@ def test_without_a_token_nothing_is_shown(tmp_path: Path) -> None:
     with serving("--token-file", kept, "--allow-control") as again:
         until(lambda: answers(again), "the page")
         assert look not in again.invitations[0], "they are printed once"
-        assert again.status(Cookie=ours) == 200
+        assert again.status(Cookie=f"play_launch_token_{again.port}={look}") == 200
+
+
+def test_a_proxy_may_show_it_under_a_path(tmp_path: Path) -> None:
+    words = ("--token-file", tmp_path / "tokens", "--root-path", "/robot", "--allow-host", "proxy")
+    with serving(*words) as server:
+        until(lambda: answers(server), "the page")
+        assert "/robot/?token=" in server.invitations[0]
+        (look,) = server.tokens
+        _, headers, text = server.get(f"/?token={look}", Host="proxy")
+        assert 'url=/robot/"' in text
+        page = server.get(Cookie=headers["set-cookie"].partition(";")[0])[2]
+        assert 'src="/robot/_nicegui/' in page
 
 
 def test_guessing_is_slow(tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def click(browser: Browser, label: str) -> None:
 
 def visit(browser: Browser, server: Server) -> None:
     until(lambda: answers(server), "the page")
-    browser.call("Page.navigate", url=server.url)
+    browser.call("Page.navigate", url=server.invitations[-1])
     browser.until(f"({row_of('/talker')}).includes('loaded')")
 
 
@@ -124,7 +124,7 @@ def test_the_connections_are_checked(session: Replay, browser: Browser) -> None:
 
 @needs_browser
 def test_a_crash_appears_and_a_click_reloads(session: Replay, browser: Browser) -> None:
-    with serving("--session", session.pid, "--allow-control") as server:
+    with serving("--session", session.pid, "--allow-control", count=2) as server:
         visit(browser, server)
         os.kill(session.pids()["/talker"], signal.SIGSEGV)
         browser.until(f"/loaded\\s.*\\s1\\s/s.test({row_of('/talker')})")
@@ -165,6 +165,6 @@ def test_the_demo_has_a_page(tmp_path: Path) -> None:
     events = [json.loads(line) for line in run(*words).stdout.splitlines()]
     printed = [each["text"] for each in events if each.get("process") == "/page"]
     # The port may be taken, and then this is said.
-    assert any("http://127.0.0.1:8080/" in each or "--port 8080" in each for each in printed)
+    assert any("http://127.0.0.1:8080/?token=" in each or "--port 8080" in each for each in printed)
     crashed = {each["node"] for each in events if each.get("state") == "crashed"}
     assert crashed == {"/unlucky"}
