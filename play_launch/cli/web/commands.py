@@ -1,4 +1,4 @@
-"""What the page has other commands do, one at a time: a report, the check of the graph."""
+"""What the page has other commands do, one at a time: reports, the graph, parameters."""
 
 from __future__ import annotations
 
@@ -71,6 +71,16 @@ class Commands:
         printed = await self._run(words, {0, 1}, environment)
         found: list[dict[str, Any]] = json.loads(printed)["problems"]
         return [each for each in found if each["kind"] != "unsubscribed"]
+
+    async def parameters(self, session: str, node: str) -> dict[str, Any]:
+        """Return the parameters of a node by their names; raises CommandError."""
+        words = ["param", "dump", "--json", "--session", session, "--", node]
+        found: dict[str, dict[str, Any]] = json.loads(await self._run(words, {0}))
+        return next(iter(found.values()), {})
+
+    async def set_parameter(self, session: str, node: str, name: str, value: str) -> None:
+        """Set a parameter, ``value`` as YAML; raises CommandError, as when the node refuses."""
+        await self._run(["param", "set", "--session", session, "--", node, name, value], {0})
 
     def _session_environment(self) -> dict[str, str]:
         try:

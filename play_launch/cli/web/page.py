@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from typing import TYPE_CHECKING, Any, Final
 
@@ -192,7 +193,9 @@ class _Page:
         if row is None:
             ui.notify("it is not part of the system any more")
             return
-        self._story = _Story(self._watch, row, may_act=self._may_act, closed=self._closed)
+        self._story = _Story(
+            self._watch, self._commands, row, may_act=self._may_act, closed=self._closed
+        )
         await self._story.fill()
 
     def _closed(self) -> None:
@@ -203,9 +206,17 @@ class _Story:
     """All about one unit, in a dialog, with what may be done to it."""
 
     def __init__(
-        self, watch: Watch, row: UnitRow, *, may_act: bool, closed: Callable[[], None]
+        self,
+        watch: Watch,
+        commands: Commands,
+        row: UnitRow,
+        *,
+        may_act: bool,
+        closed: Callable[[], None],
     ) -> None:
         self._watch = watch
+        self._commands = commands
+        self._may_act = may_act
         self._row = row
         self._target = target_of(row)
         with ui.dialog() as self._dialog, ui.card().classes("w-full").style("max-width: 60rem"):
@@ -223,6 +234,9 @@ class _Story:
                         if model.suits(operation, row):
                             ui.button(operation, on_click=self._asker(operation)).props("no-caps")
             self._fields = ui.grid(columns="auto 1fr").classes("gap-x-4 gap-y-1")
+            if row.kind == model.COMPONENT:
+                with ui.expansion("Parameters", on_value_change=self._ask_parameters) as found:
+                    self._parameters = found.classes("w-full")
             self.log = _Log(watch, self._target)
         self._dialog.open()
 
@@ -241,6 +255,41 @@ class _Story:
             for each in unit["last_restarts"]:
                 ui.label(clock(each["stamp_ns"]))
                 ui.label(model.clean(each["cause"]))
+
+    async def _ask_parameters(self, event: ValueChangeEventArguments[bool]) -> None:
+        if event.value:
+            await self._show_parameters()
+
+    async def _show_parameters(self) -> None:
+        self._parameters.clear()
+        with self._parameters:
+            ui.label("The node is being asked …")
+        problem, values = "", dict[str, Any]()
+        try:
+            values = await self._commands.parameters(self._watch.folder, self._row.name)
+        except (CommandError, OperationError) as error:
+            problem = str(error)
+        self._parameters.clear()
+        with self._parameters:
+            ui.label(problem or ("" if values else "it has none"))
+            with ui.grid(columns="auto 1fr").classes("gap-x-4 gap-y-1"):
+                for name, value in values.items():
+                    ui.label(model.clean(name)).classes("text-weight-bold")
+                    ui.label(model.clean(json.dumps(value))).style("overflow-wrap: anywhere")
+            if self._may_act and values:
+                with ui.row().classes("items-center"):
+                    chosen = ui.select(list(values), label="Parameter", value=next(iter(values)))
+                    given = ui.input("New value")
+                    ui.button("set", on_click=lambda: self._set(chosen.value, given.value))
+
+    async def _set(self, name: str, value: str) -> None:
+        try:
+            folder = self._watch.folder
+            await self._commands.set_parameter(folder, self._row.name, name, value)
+        except (CommandError, OperationError) as error:
+            ui.notify(str(error), type="negative", multi_line=True, close_button=True)
+            return
+        await self._show_parameters()
 
     def _asker(self, operation: str) -> Callable[[], None]:
         return lambda: self._confirm(operation)

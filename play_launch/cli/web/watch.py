@@ -14,7 +14,7 @@ import msgspec
 from play_launch.cli.top import model
 from play_launch.cli.top.link import POLL_INTERVAL, SessionLink
 from play_launch.control.messages import UnitRow
-from play_launch.control.protocol import OperationError
+from play_launch.control.protocol import Code, OperationError
 from play_launch.control.sessions import NoSessionError, connect
 from play_launch.control.units import target_of
 
@@ -71,6 +71,13 @@ class Watch:
         if self.problem or silence < _SHOWN_SILENCE:
             return self.problem
         return f"the session has not answered for {silence:.0f} s"
+
+    @property
+    def folder(self) -> str:
+        """Of the session; raises OperationError without a connection."""
+        if self._client is None:
+            raise OperationError(Code.INTERNAL, self.problem)
+        return self._client.hello.folder
 
     def enter(self) -> None:
         """A page is open."""
@@ -134,16 +141,16 @@ class Watch:
 
     async def status(self, target: Target) -> dict[str, Any]:
         """Ask for all about a unit, over a connection of its own; raises OperationError."""
-        session = self._client.hello.folder if self._client else self._session
+        folder = self.folder
 
         def ask() -> Any:
-            with connect(session) as client:
+            with connect(folder) as client:
                 return client.ask("status", {"names": [str(target)]})
 
         try:
             rows = await asyncio.to_thread(ask)
         except (NoSessionError, OSError) as error:
-            raise OperationError("internal", str(error)) from None
+            raise OperationError(Code.INTERNAL, str(error)) from None
         found: dict[str, Any] = rows[0]
         return found
 

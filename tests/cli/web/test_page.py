@@ -34,6 +34,7 @@ containers:
     composable_nodes:
       - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}
 """
+DIALOG = "document.querySelector('.q-dialog')"
 BUTTONS = "[...document.querySelectorAll('button')]"
 
 
@@ -136,6 +137,21 @@ def test_a_crash_appears_and_a_click_reloads(session: Replay, browser: Browser) 
         browser.until("document.body.innerText.includes('/talker reloaded')")
         browser.until("document.querySelector('.q-dialog').innerText.includes('publishing')")
         assert not browser.errors
+
+
+@needs_browser
+def test_parameters_are_shown_and_set(session: Replay, browser: Browser) -> None:
+    with serving("--session", session.pid, "--allow-control", count=2) as server:
+        visit(browser, server)
+        click(browser, "/talker")
+        browser.until(f"{DIALOG}.innerText.includes('Declared')")
+        browser.run(f"{DIALOG}.querySelector('.q-expansion-item .q-item').click()")
+        browser.until(f"/rate\\s+10.0?\\s/.test({DIALOG}.innerText)")
+        field = f"{DIALOG}.querySelector('[aria-label=\"New value\"]')"
+        browser.run(f"{field}.value = '4.0', {field}.dispatchEvent(new Event('input'))")
+        click(browser, "SET")
+        browser.until(f"/rate\\s+4.0?\\s/.test({DIALOG}.innerText)")
+    assert session.ask("param", "get", "/talker", "rate").stdout.strip() == "4.0"
 
 
 @needs_browser
