@@ -14,7 +14,6 @@ import typer
 
 from play_launch.cli import options
 from play_launch.cli.output import fail, say_live
-from play_launch.control.protocol import Code, OperationError
 
 if TYPE_CHECKING:
     from play_launch.cli.web.access import Rules, Tokens
@@ -165,14 +164,12 @@ def _kept(file: Path) -> Tokens:
 
 
 def require_nicegui() -> None:
-    """Raise OperationError where the extra `web` is not installed."""
+    """End the process where the extra `web` is not installed."""
     try:
         import nicegui  # noqa: F401, PLC0415 - an extra
-    except ModuleNotFoundError:
-        raise OperationError(
-            Code.BAD_ARGUMENTS,
-            "web needs NiceGUI, which is not installed; pip install 'play-launch-py[web]'",
-        ) from None
+        import prometheus_client  # noqa: F401, PLC0415 - the same
+    except ModuleNotFoundError as error:
+        fail(f"web needs {error.name}, which is not there; pip install 'play-launch-py[web]'")
 
 
 def _listen(address: ipaddress.IPv4Address | ipaddress.IPv6Address, port: int) -> socket.socket:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 from collections.abc import Iterator
@@ -123,6 +124,19 @@ def test_a_token_file_that_others_can_read_is_refused(tmp_path: Path) -> None:
     assert "at least 16 characters" in run("web", "--token-file", kept, code=2).stderr
     assert "belong together" in run("web", "--key", kept, code=2).stderr
     assert "is not an IP address" in run("web", "--bind", "robot.local", code=2).stderr
+
+
+@pytest.mark.parametrize("verb", [("web",), ("demo", "--web")])
+@pytest.mark.parametrize("name", ["nicegui", "prometheus_client"])
+def test_without_the_extra_it_says_how_to_get_it(
+    verb: tuple[str, ...], name: str, tmp_path: Path
+) -> None:
+    (tmp_path / f"{name}.py").write_text(f"raise ModuleNotFoundError(name={name!r})")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = run(*verb, code=2, env=environment)
+    assert f"needs {name}" in done.stderr
+    assert "play-launch-py[web]" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_other_addresses_demand_tokens() -> None:
