@@ -57,11 +57,16 @@ class Coordinator:
         """Whether no machine has anything left to do."""
         self._failures: dict[str, str] = {}
         self.parts = {
-            name: Part(part_of(config, name), arguments, program, self._take, self._met_changed.set)
+            name: Part(
+                part_of(config, name),
+                arguments,
+                program,
+                on_event=self._take,
+                on_met=self._met_changed.set,
+                on_change=self.publish,
+            )
             for name in used_machines(config)
         }
-        for part in self.parts.values():
-            part.publish = self.publish
         self.requests = Requests(self.parts)
         self.on_change: Callable[[], None] = lambda: None
         """Called when the state of a machine has changed."""

@@ -54,8 +54,10 @@ class Part:
         part: ReplayConfig,
         arguments: Sequence[str],
         program: str,
+        *,
         on_event: Callable[[str, dict[str, Any]], None],
         on_met: Callable[[], None],
+        on_change: Callable[[MachineChanged], None],
     ) -> None:
         """Prepare; ``program`` is play-launch on this machine, for the local part."""
         self.machine: MachineConfig = part.machines[part.machine]
@@ -88,8 +90,7 @@ class Part:
         """Whether its rows may have changed."""
         self.ends_all = False
         """Whether a rule of it ends the whole system: `on_exit: shutdown`."""
-        self.publish: Callable[[MachineChanged], None] = lambda _: None
-        """Called at each change of the state."""
+        self._on_change = on_change
         self._starts: list[float] = []
         self.told: list[list[str]] = []
         """Conditions that are met elsewhere."""
@@ -427,6 +428,6 @@ class Part:
     def put(self, state: MachineState, reason: str = "") -> None:
         self.state, self.reason, self.since_ns = state, reason, time.time_ns()
         self.changed.set()
-        self.publish(
+        self._on_change(
             MachineChanged(stamp_ns=self.since_ns, machine=self.name, state=state, reason=reason)
         )
