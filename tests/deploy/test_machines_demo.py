@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import signal
 import subprocess
@@ -14,6 +13,7 @@ import pytest
 
 from play_launch.deploy.machines.namespaces import Namespaces, missing
 from tests.support.replay import alive
+from tests.support.waiting import until
 
 PROGRAM = Path(sys.executable).with_name("play-launch")
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"hosts: {missing()}")
@@ -33,20 +33,18 @@ def test_the_demo_runs_on_several_machines(tmp_path: Path) -> None:
     assert f"pl{run.pid}" not in subprocess.check_output(["ip", "netns", "list"], text=True)
 
 
-def test_hosts_of_a_killed_demo_are_removed_by_the_next(tmp_path: Path) -> None:
-    demo = (str(PROGRAM), "demo", "--machines", "2", "--log-dir", str(tmp_path))
+def test_a_killed_demo_leaves_no_process_and_the_next_one_removes_its_hosts(
+    tmp_path: Path,
+) -> None:
+    demo = (str(PROGRAM), "demo", "--machines", "2", "--log-dir", str(tmp_path), "--seconds", "60")
     with subprocess.Popen(demo, stdout=subprocess.PIPE, text=True) as run:
         assert run.stdout is not None
         assert "h2 are up" in run.stdout.readline()
+        processes = psutil.Process(run.pid).children(recursive=True)
         run.kill()
+    assert len(processes) >= 2, "the ssh servers at least"
+    until(lambda: not alive(processes), "their end")
     left = f"pl{run.pid}h2"
     assert left in subprocess.check_output(["ip", "netns", "list"], text=True)
-    pids = subprocess.check_output(["ip", "netns", "pids", left], text=True).split()
-    processes = []
-    for pid in pids:
-        with contextlib.suppress(psutil.NoSuchProcess):  # it ended by itself
-            processes.append(psutil.Process(int(pid)))
     with Namespaces(tmp_path / "hosts", 1):
         assert left not in subprocess.check_output(["ip", "netns", "list"], text=True)
-    assert processes
-    assert not alive(processes)

@@ -100,7 +100,8 @@ class Hosts(Namespaces):
             "PasswordAuthentication no\nUsePAM no\nStrictModes no\nPermitRootLogin yes\n"
             f"Subsystem sftp internal-sftp\nSetEnv HOME={home}\n"
         )
-        return [_SSHD, "-D", "-e", "-f", f"{folder}/sshd_config"]
+        server = f"exec {_SSHD} -D -e -f {folder}/sshd_config"
+        return ["bash", "-c", f"echo runs; {server}"]
 
     def boot(self, number: int) -> None:
         """Boot a host with a systemd of its own, over this machine's files; root and robot log in.

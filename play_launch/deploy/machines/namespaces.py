@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _PROGRAMS: Final = {
     "ip": "iproute2",
     "nsenter": "util-linux",
+    "setpriv": "util-linux",
     "ssh-keygen": "openssh-client",
     "unshare": "util-linux",
 }
@@ -115,6 +116,8 @@ class Namespaces:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(server.pid, signal.SIGKILL)
             server.wait()
+            if server.stdout is not None:
+                server.stdout.close()
         for name in (*map(self.namespace, self._numbers), self._switch):
             _delete(name)
 
@@ -155,7 +158,10 @@ class Namespaces:
         _run("ip", "-n", self._switch, "link", "set", f"v{number}", state)
 
     def server_command(self, folder: Path, home: Path) -> list[str]:
-        """Return what runs as the ssh server of a host; `folder` has its `hostkey`."""
+        """Return what runs as the ssh server of a host; `folder` has its `hostkey`.
+
+        It prints a line once it runs there.
+        """
         authorized = self.home / ".ssh/id_ed25519.pub"
         module = ("-P", "-m", "play_launch.deploy.machines.namespaces")
         return [sys.executable, *module, str(folder / "hostkey"), str(authorized), str(home)]
@@ -172,16 +178,26 @@ class Namespaces:
             f"exec {shlex.join(self.server_command(folder, home))}"
         )
         network = f"--net=/run/netns/{self.namespace(number)}"
-        words = ("nsenter", network, "unshare", "-m", "bash", "-c", script)
-        with (folder / "sshd.log").open("wb") as log:
-            self._servers[number] = subprocess.Popen(
+        words = (*ends_with_us("KILL"), "nsenter", network, "unshare", "-m", "bash", "-c", script)
+        log = folder / "sshd.log"
+        with log.open("wb") as opened:
+            server = self._servers[number] = subprocess.Popen(
                 words,
                 stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
+                stdout=subprocess.PIPE,
+                stderr=opened,
                 start_new_session=True,
             )
+        assert server.stdout is not None
+        # A process that is still on its way would not be found, and outlive the host.
+        if not server.stdout.readline():
+            raise OSError(f"the ssh server of h{number}: {log.read_text().strip()}")
         return key.with_suffix(".pub").read_text().strip()
+
+
+def ends_with_us(number: str) -> tuple[str, ...]:
+    """Return the words before a command that gets this signal when this process is killed."""
+    return ("setpriv", "--pdeathsig", number)
 
 
 def _run(*words: str) -> str:
@@ -263,6 +279,7 @@ async def _serve_ssh(host_key: str, authorized: str, home: str) -> None:
         sftp_factory=True,
         encoding=None,
     )
+    print("ready", flush=True)  # noqa: T201 - to the process that waits for it
     await asyncio.Event().wait()
 
 
