@@ -6,14 +6,20 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
 
-from play_launch.container.cdr.layout import CdrError
-from play_launch.container.cdr.messages import DIAGNOSTIC_ARRAY
+from play_launch.container.cdr.layout import CdrError, Layout
 from play_launch.postmortem.events import UnreadableEventError
 
 if TYPE_CHECKING:
     from play_launch.postmortem.bag_reader import Message
 
 TYPE: Final = "diagnostic_msgs/msg/DiagnosticArray"
+DIAGNOSTIC_ARRAY: Final = Layout(
+    "stamp:t frame_id:s status:DiagnosticStatus[]",
+    DiagnosticStatus=Layout(
+        "level:B name:s message:s hardware_id:s values:KeyValue[]",
+        KeyValue=Layout("key:s value:s"),
+    ),
+)
 LEVELS: Final = ("OK", "WARN", "ERROR", "STALE")
 """By their numbers in `diagnostic_msgs/msg/DiagnosticStatus`."""
 ERROR: Final = 2

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from play_launch.postmortem.connections import Connections
-from play_launch.postmortem.diagnostics import TYPE as DIAGNOSTIC_ARRAY
+from play_launch.postmortem.diagnostics import TYPE as DIAGNOSTICS_TYPE
 from play_launch.postmortem.diagnostics import Diagnostics
 from play_launch.postmortem.events import UnreadableEventError
 from play_launch.postmortem.last_lines import LATE_LINES, LastLines
@@ -143,7 +143,7 @@ class Timeline:
             return self.samples.take_system
         if topic.name in PARAMETER_TOPICS:
             return self._take_parameters
-        if topic.type_name == DIAGNOSTIC_ARRAY:
+        if topic.type_name == DIAGNOSTICS_TYPE:
             return self._take_diagnostics
         return self._take_event if topic.name == topics.GRAPH.name else self.failures_of(topic)
 

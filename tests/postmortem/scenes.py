@@ -10,8 +10,9 @@ from msgspec.structs import replace
 
 from play_launch.config.model import ParameterType
 from play_launch.config.node_key import NodeKey
-from play_launch.container.cdr.messages import DIAGNOSTIC_ARRAY, NODE_PARAMETERS, PARAMETER_EVENT
+from play_launch.container.cdr.messages import NODE_PARAMETERS, PARAMETER_EVENT
 from play_launch.postmortem.bag_reader import ChannelInfo, RecordedTopic
+from play_launch.postmortem.diagnostics import DIAGNOSTIC_ARRAY
 from play_launch.postmortem.findings import Finding, findings
 from play_launch.postmortem.records import MESSAGE
 from play_launch.postmortem.timeline import Timeline, read_timeline

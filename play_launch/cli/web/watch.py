@@ -101,7 +101,7 @@ class Watch:
                 await asyncio.sleep(POLL_INTERVAL)
                 if not self._viewers and time.monotonic() - self._left_at > _LINGER:
                     self._viewed.clear()
-                    self._disconnect("no page is open")
+                    self._disconnect("connecting")
         finally:
             self._disconnect("the server ends")
 

@@ -39,13 +39,6 @@ CONTROL_STATUS: Final = Layout("ControlStatus", NodeStatus=NODE_STATUS)
 CONTROL_CANCEL: Final = Layout("ControlCancel")
 CONTROL_UNLOAD: Final = Layout("ControlUnload")
 CONTROL_SHUTDOWN: Final = Layout("ControlShutdown")
-DIAGNOSTIC_ARRAY: Final = Layout(
-    "stamp:t frame_id:s status:DiagnosticStatus[]",
-    DiagnosticStatus=Layout(
-        "level:B name:s message:s hardware_id:s values:KeyValue[]",
-        KeyValue=Layout("key:s value:s"),
-    ),
-)
 LOG: Final = Layout("stamp:t level:B name:s msg:s file:s function:s line:I")
 """Written by `log_message`, where there may be many."""
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import re
 import subprocess
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from play_launch.cli.web.access import Access, Rules
 from tests.cli.web.server import Server, serving
 from tests.support.loopback_network import wrapped
 from tests.support.replay import COMMAND, run
@@ -147,12 +149,37 @@ def test_other_addresses_demand_tokens() -> None:
         process.terminate()
 
 
-def test_there_are_limits(tmp_path: Path) -> None:
+def test_there_are_limits() -> None:
     with serving("--clients", "3") as server:
         until(lambda: answers(server), "the page")
         assert [server.socket() for _ in range(4)] == [101, 101, 101, 403]
         server.open.pop(0).close()
         until(lambda: server.socket() == 101, "a place that is free again")
-        with ThreadPoolExecutor(16) as visitors:
-            seen = set(visitors.map(server.status, ["/nothing"] * 1500))
-        assert seen == {404, 429}
+
+
+def test_a_flood_of_requests_is_refused() -> None:
+    seen: list[int] = []
+
+    async def page(scope: Any, receive: Any, send: Any) -> None:
+        del scope, receive
+        await send({"type": "http.response.start", "status": 200})
+
+    async def receive() -> Any:
+        raise AssertionError
+
+    async def send(message: Any) -> None:
+        if message["type"] == "http.response.start":
+            seen.append(message["status"])
+
+    hosts = frozenset({"robot"})
+    rules = Rules(hosts=hosts, tokens=None, allows_acting=False, clients=1, is_secure=False)
+    scope = {"type": "http", "headers": [(b"host", b"robot")], "path": "/", "server": ("", 80)}
+
+    async def flood() -> None:
+        access = Access(page, rules)
+        for _ in range(2000):
+            await access(dict(scope), receive, send)
+
+    asyncio.run(flood())
+    assert set(seen[:600]) == {200}
+    assert seen.count(429) > 1000
