@@ -142,7 +142,9 @@ class _Page:
         self._seen = self._watch.changes
         self._title.text = self._watch.name or "play-launch"
         ui.page_title(self._title.text)
-        self._counts.text = model.counted(self._watch.rows) if self._watch.rows else ""
+        count = len(self._watch.rows)
+        left_out = f"; {_MOST_ROWS} are shown" if count > _MOST_ROWS else ""
+        self._counts.text = f"{model.counted(self._watch.rows)}{left_out}" if count else ""
         self._draw_rows()
 
     def _draw_rows(self) -> None:

@@ -93,24 +93,23 @@ class Watch:
         try:
             while True:
                 await self._viewed.wait()
-                if self._link is None and not await self._connect():
-                    await asyncio.sleep(_AGAIN)
-                    continue
+                if self._link is None:
+                    await self._connect()
                 if self._link is not None:
                     self._link.poll()
-                await asyncio.sleep(POLL_INTERVAL)
+                await asyncio.sleep(_AGAIN if self._link is None else POLL_INTERVAL)
                 if not self._viewers and time.monotonic() - self._left_at > _LINGER:
                     self._viewed.clear()
                     self._disconnect("connecting")
         finally:
             self._disconnect("the server ends")
 
-    async def _connect(self) -> bool:
+    async def _connect(self) -> None:
         try:
             client = await asyncio.to_thread(connect, self._session)
         except (NoSessionError, OperationError, OSError) as error:
             self._say(str(error))
-            return False
+            return
         self._client = client
         name = f"{client.hello.name} (pid {client.hello.pid})"
         if name != self.name:
@@ -120,7 +119,6 @@ class Watch:
         self.name = name
         self._say("")
         self._link = SessionLink(client, self)
-        return True
 
     def _disconnect(self, reason: str) -> None:
         if self._link is not None:
