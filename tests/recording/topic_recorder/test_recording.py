@@ -239,6 +239,12 @@ async def test_it_is_started_again(
         first = made.pid
         os.kill(first, signal.SIGKILL)
         await until(lambda: made.pid != first, "its restart")
+        # A publisher that writes meanwhile may be lost: docs/dds.md.
+        readers = probe.node.get_subscriptions_info_by_topic
+        await until(
+            lambda: any(each.node_name.endswith(f"_{made.pid}") for each in readers("/chatter")),
+            "its subscription",
+        )
         await heard(made, texts, String())
         await publish_all(texts, strings(5))
         await heard(made, texts, String(data="end"))
