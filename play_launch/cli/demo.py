@@ -144,9 +144,9 @@ def _spread(machines: int, seconds: float) -> dict[str, Any]:
 
 def _run(hosts: Namespaces, words: Sequence[str]) -> int:
     """Run play-launch on h1 to its end, as a program of ours that gets our signals."""
-    home = {"ROS_HOME": os.environ.get("ROS_HOME", str(Path.home() / ".ros"))}
     from play_launch.deploy.machines.namespaces import ends_with_us  # noqa: PLC0415
 
+    home = {"ROS_HOME": os.environ.get("ROS_HOME", str(Path.home() / ".ros"))}
     child = subprocess.Popen(
         [*ends_with_us("INT"), *hosts.command(*words)],
         env={**hosts.environment, **home},

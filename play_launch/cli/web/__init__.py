@@ -89,7 +89,7 @@ def web(  # noqa: PLR0917 - options, by name
     from play_launch.cli.web.access import Rules  # noqa: PLC0415
 
     rules = Rules(
-        hosts=_own_names(bind, allow_host or ()),
+        hosts=_own_names(allow_host or ()),
         tokens=tokens,
         allows_acting=allow_control,
         clients=clients,
@@ -125,9 +125,9 @@ def _address(bind: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
         fail(f"--bind: {bind} is not an IP address")
 
 
-def _own_names(bind: str, more: list[str] | tuple[str, ...]) -> frozenset[str]:
+def _own_names(more: list[str] | tuple[str, ...]) -> frozenset[str]:
     host = socket.gethostname()
-    names = {"localhost", "127.0.0.1", "::1", bind, host, f"{host}.local", *more}
+    names = {"localhost", host, f"{host}.local", *more}
     return frozenset(each.lower() for each in names)
 
 

@@ -1,13 +1,14 @@
 """Decides which HTTP requests and WebSockets may come in: ASGI middleware.
 
-A request names this server in its `Host`, against DNS rebinding, and comes from a page of this
-server, if it has an `Origin`. Where tokens are demanded, it has one: in its cookie, which the
-address with `?token=` sets, or as `Authorization: Bearer`; there is one to look, and one to act.
+A request has this server's name or an address as `Host`, against DNS rebinding, and comes from a
+page of this server, if it has an `Origin`. Where tokens are demanded, it has one: in its cookie,
+which the address with `?token=` sets, or as `Authorization: Bearer`; one is to look, one to act.
 """
 
 from __future__ import annotations
 
 import hmac
+import ipaddress
 import secrets
 import time
 from enum import IntEnum
@@ -169,15 +170,23 @@ class Access:
             raise Refusal(429, "too many requests")
         headers = [(name.lower(), value.decode("latin-1")) for name, value in scope["headers"]]
         hosts = [value for name, value in headers if name == b"host"]
-        if len(hosts) != 1 or _name_of(hosts[0]) not in self._rules.hosts:
+        if len(hosts) != 1 or not self._is_ours(_name_of(hosts[0])):
             raise Refusal(
                 421, f"this server is not {', '.join(hosts) or 'nameless'}; see --allow-host"
             )
         for name, origin in headers:
-            if name == b"origin" and urlsplit(origin).netloc.lower() != hosts[0].lower():
+            if name == b"origin" and origin.lower().partition("://")[2] != hosts[0].lower():
                 raise Refusal(403, "pages of other servers may not ask this one")
         right = self._known(token, headers, _cookie_of(scope))
         return right if self._rules.allows_acting else min(right, Right.LOOK)
+
+    def _is_ours(self, name: str) -> bool:
+        """Whether a visitor meant this server: rebinding needs a name, so any address will do."""
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            return name in self._rules.hosts
+        return True
 
     def _known(self, token: str | None, headers: Iterable[tuple[bytes, str]], cookie: str) -> Right:
         if self._rules.tokens is None:

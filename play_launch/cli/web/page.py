@@ -144,6 +144,8 @@ class _Page:
         ui.page_title(self._title.text)
         count = len(self._watch.rows)
         left_out = f"; {_MOST_ROWS} are shown" if count > _MOST_ROWS else ""
+        if self._watch.missed:
+            left_out += f"; {self._watch.missed} events were missed"
         self._counts.text = f"{model.counted(self._watch.rows)}{left_out}" if count else ""
         self._draw_rows()
 

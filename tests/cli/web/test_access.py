@@ -1,16 +1,25 @@
-"""Who may come in: by the real server, without a session where none is needed."""
+"""Access to the page: by the real server, without a session where none is needed."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import datetime as dt
+import http.client
 import os
 import re
+import ssl
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, PrivateFormat
+from cryptography.x509.oid import NameOID
 
 from play_launch.cli.web.access import Access, Rules
 from tests.cli.web.server import Server, serving
@@ -40,6 +49,7 @@ def answers(server: Server) -> bool:
         ({"Host": "localhost"}, 200),
         ({"Host": "LOCALHOST:1"}, 200),
         ({"Host": "[::1]:80"}, 200),
+        ({"Host": "192.0.2.7:80"}, 200),
         ({"Host": "evil.example"}, 421),
         ({"Host": "127.0.0.1.evil.example"}, 421),
         ({"Host": "127.0.0.1@evil.example"}, 421),
@@ -49,6 +59,7 @@ def answers(server: Server) -> bool:
         ({"Host": "localhost:1", "Origin": "http://localhost:2"}, 403),
         ({"Host": "localhost", "Origin": "http://evil.example"}, 403),
         ({"Host": "localhost", "Origin": "null"}, 403),
+        ({"Host": "localhost", "Origin": "http://[::1"}, 403),
     ],
 )
 def test_names_and_origins(free: Server, headers: dict[str, str], status: int) -> None:
@@ -104,6 +115,42 @@ def test_a_proxy_may_show_it_under_a_path(tmp_path: Path) -> None:
         assert 'url=/robot/"' in text
         page = server.get(Cookie=headers["set-cookie"].partition(";")[0])[2]
         assert 'src="/robot/_nicegui/' in page
+
+
+def test_it_speaks_tls(tmp_path: Path) -> None:
+    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
+    own = ec.generate_private_key(ec.SECP256R1())
+    key.write_bytes(
+        own.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, serialization.NoEncryption())
+    )
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "robot")])
+    now = dt.datetime.now(dt.UTC)
+    made = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(own.public_key())
+        .serial_number(1)
+        .not_valid_before(now - dt.timedelta(hours=1))
+        .not_valid_after(now + dt.timedelta(hours=1))
+        .sign(own, hashes.SHA256())
+    )
+    certificate.write_bytes(made.public_bytes(Encoding.PEM))
+    words = ("--certificate", certificate, "--key", key, "--token-file", tmp_path / "tokens")
+    with serving(*words) as server:
+        assert server.url.startswith("https://")
+        (look,) = server.tokens
+        trusting = ssl.create_default_context(cafile=certificate)
+        trusting.check_hostname = False
+
+        def cookie() -> str:
+            port = server.port
+            link = http.client.HTTPSConnection("127.0.0.1", port, timeout=30, context=trusting)
+            with contextlib.closing(link):
+                link.request("GET", f"/?token={look}")
+                return str(link.getresponse().headers["set-cookie"])
+
+        assert cookie().endswith("; Secure")
 
 
 def test_guessing_is_slow(tmp_path: Path) -> None:
