@@ -23,7 +23,8 @@ for its lock at worst: it then takes the next random number, as Fast DDS provide
 Its senders map a port beyond its removal. They notice that it is dead only if its receiver was
 killed while it waited or worked on a message. Killed between the two it looks healthy for ever:
 the senders fill it, and do not look for the port that a new process makes under the same number.
-So a dead port is marked as broken, as Fast DDS marks it, before it is removed.
+So such a port is marked as broken, as Fast DDS marks it, before it is removed. Others are not: a
+sender that has given one up makes its file anew at each message, which a new process may run into.
 """
 
 from __future__ import annotations
@@ -218,19 +219,23 @@ _IS_OK: Final = 1
 
 
 def _mark_broken(port: Path) -> None:
-    """Tell all senders that map a port to give it up; what has another layout stays as it is."""
+    """Tell all senders to give a port up on which none waits; another layout stays as it is."""
     number = int(re.sub(r"\D+", "", port.name))
     # Missing, or of another user.
     with suppress(OSError), port.open("r+b", buffering=0) as file:
         head = file.read(_STATE_IS_BEFORE)
         for start in range(0, len(head) - _PORT_STATE.size + 1, 4):
-            found, listeners, check, wait, capacity, _, flags = _PORT_STATE.unpack_from(head, start)
+            found, listeners, check, wait, capacity, waits, flags = _PORT_STATE.unpack_from(
+                head, start
+            )
             if (
                 (found, wait) == (number, check // 3)
                 and listeners <= _MOST_LISTENERS
                 and capacity > 0
                 and flags & _IS_OK
             ):
+                if waits:  # its senders find out by themselves, and not all at the next message
+                    return
                 file.seek(start + _PORT_STATE.size - 4)
                 file.write(struct.pack("=I", flags & ~_IS_OK))
                 return
