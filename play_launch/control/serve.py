@@ -136,14 +136,7 @@ class Changes(Struct, kw_only=True, eq=False):
 
     async def apply(self, request: ChangeRequest, caller: Caller) -> object:
         """Send the plan, and apply it unless it is a dry run; raises OperationError."""
-        try:
-            target = await in_a_thread(partial(read_change, request))
-        except ConfigError as error:
-            text = f"{request.path} cannot be used, nothing was changed\n{error.for_people()}"
-            raise OperationError(Code.BAD_ARGUMENTS, text) from None
-        except ValueError as error:
-            raise OperationError(Code.BAD_ARGUMENTS, str(error)) from None
-        target = self._with_command_line(target)
+        target = self._with_command_line(await read_change(request))
         if request.dry_run:
             applying = self.source if self._is_busy else None
             return {"plan": self._applying.plan(target), "applying": applying}
@@ -251,16 +244,24 @@ class Changes(Struct, kw_only=True, eq=False):
         return self.task
 
 
-def read_change(request: ChangeRequest) -> ReplayConfig:
-    inputs = Inputs(
-        arguments=parse_arguments(request.arguments),
-        environ=request.environment,
-        find_share=partial(share_folder, environ=request.environment),
-    )
+async def read_change(request: ChangeRequest) -> ReplayConfig:
+    """Read what is to be applied; raises OperationError."""
     path = Path(request.path)
-    if request.text is None:
-        return load_config(path, inputs)
-    return parse_config(request.text.encode(), path, inputs=inputs)
+    try:
+        inputs = Inputs(
+            arguments=parse_arguments(request.arguments),
+            environ=request.environment,
+            find_share=partial(share_folder, environ=request.environment),
+        )
+        if request.text is None:
+            return await in_a_thread(partial(load_config, path, inputs))
+        read = partial(parse_config, request.text.encode(), path, inputs=inputs)
+        return await in_a_thread(read)
+    except ConfigError as error:
+        text = f"{request.path} cannot be used, nothing was changed\n{error.for_people()}"
+        raise OperationError(Code.BAD_ARGUMENTS, text) from None
+    except ValueError as error:
+        raise OperationError(Code.BAD_ARGUMENTS, str(error)) from None
 
 
 def _failures(applied: Applied) -> str:

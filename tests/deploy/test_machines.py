@@ -8,7 +8,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,71 +16,17 @@ import pytest
 from mcap.reader import McapReader, make_reader
 
 from play_launch.deploy.machines.namespaces import missing
-from tests.support.hosts import Hosts, running
+from tests.support.hosts import Hosts, running, supervisors, system
+from tests.support.replay import COMMAND
 from tests.support.waiting import until
 
-PROGRAM = Path(sys.executable).with_name("play-launch")
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"hosts: {missing()}")
-
-
-@pytest.fixture(scope="module")
-def net(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hosts]:
-    with Hosts(tmp_path_factory.mktemp("hosts"), 3) as made:
-        yield made
-
-
-def system(
-    folder: Path, name: str, *, more: str = "", h3: str = "", talker: str = "talker"
-) -> Path:
-    path = folder / f"{name}.yaml"
-    path.write_text(
-        f"""\
-version: 1
-name: {name}
-{more}
-environment:
-  ROS_AUTOMATIC_DISCOVERY_RANGE: SUBNET
-  ROS_DOMAIN_ID: "{os.environ.get("ROS_DOMAIN_ID", "7")}"
-  PLAY_LAUNCH_LOG_DIR: {folder}/log
-machines:
-  main: {{local: true}}
-  h2: {{service: none, play_launch: {PROGRAM}, lost_after: 1 s}}
-  h3: {{service: none, play_launch: {PROGRAM}, lost_after: 1 s{h3}}}
-containers:
-  - name: talk
-    machine: h2
-    container_type: isolated
-    composable_nodes:
-      - {{package: play_launch_demo, plugin: "play_launch_demo::Talker", name: {talker}}}
-  - name: listen
-    machine: h3
-    container_type: isolated
-    depends_on: [talk]
-    composable_nodes:
-      - {{package: play_launch_demo, plugin: "play_launch_demo::Listener", name: listener}}
-nodes:
-  - {{name: clock, command: [sleep, "1000"]}}
-  - name: ticks
-    machine: h3
-    command: [bash, -c, "i=0; while :; do echo tick $((i += 1)); read -t 0.05 <> <(:); done"]
-"""
-    )
-    return path
 
 
 @contextlib.contextmanager
 def make_reader_of(path: Path) -> Iterator[McapReader]:
     with path.open("rb") as file:
         yield make_reader(file)
-
-
-def supervisors(net: Hosts, number: int) -> list[int]:
-    found = []
-    for pid in net.pids(number):
-        with contextlib.suppress(OSError):  # it has ended meanwhile
-            if b"\0--machine\0" in Path(f"/proc/{pid}/cmdline").read_bytes():
-                found.append(pid)
-    return found
 
 
 def test_one_view_and_one_end_of_three_machines(net: Hosts, tmp_path: Path) -> None:
@@ -138,7 +83,7 @@ def test_the_recordings_of_all_machines_become_one(net: Hosts, tmp_path: Path) -
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["missing"] == []
     explained = subprocess.run(
-        [PROGRAM, "explain", folder / "all-machines.mcap"],
+        [COMMAND, "explain", folder / "all-machines.mcap"],
         capture_output=True,
         text=True,
         timeout=60,
@@ -404,9 +349,9 @@ def test_without_its_coordinator_a_machine_with_stop_after_stops_itself(
     ("changes", "expected"),
     [
         ({"h3: {": "h3: {ssh: 10.77.0.99, connect_timeout: 1 s, "}, "it does not answer"),
-        ({f"h3: {{service: none, play_launch: {PROGRAM}": "h3: {play_launch: OLD"}, "protocol 1"),
+        ({f"h3: {{service: none, play_launch: {COMMAND}": "h3: {play_launch: OLD"}, "protocol 1"),
         (
-            {f"h3: {{service: none, play_launch: {PROGRAM}": "h3: {play_launch: /x"},
+            {f"h3: {{service: none, play_launch: {COMMAND}": "h3: {play_launch: /x"},
             "as play_launch",
         ),
         ({"h3: {": "h3: {ssh: nowhere.invalid, "}, "is not known"),

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.deploy.test_machines import PROGRAM
 from tests.support.hosts import Hosts, missing_systemd, running
+from tests.support.replay import COMMAND
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.skipif(bool(missing_systemd()), reason=f"systemd: {missing_systemd()}")
@@ -24,8 +24,8 @@ name: units
 environment: {{ROS_AUTOMATIC_DISCOVERY_RANGE: SUBNET}}
 machines:
   main: {{local: true}}
-  user: {{ssh: robot@s21, play_launch: {PROGRAM}, lost_after: 1 s}}
-  system: {{ssh: root@s22, service: system, play_launch: {PROGRAM}, lost_after: 1 s}}
+  user: {{ssh: robot@s21, play_launch: {COMMAND}, lost_after: 1 s}}
+  system: {{ssh: root@s22, service: system, play_launch: {COMMAND}, lost_after: 1 s}}
 containers:
   - name: talk
     machine: user

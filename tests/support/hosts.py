@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 import shutil
 import signal
@@ -13,13 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from play_launch.deploy.machines.namespaces import Namespaces, missing
-from tests.support.replay import finished
+from tests.support.replay import COMMAND, finished
 from tests.support.waiting import until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_PROGRAMS = ("ip", "unshare", "nsenter", "ssh-keygen")
 _SSHD = "/usr/sbin/sshd"
 
 
@@ -153,7 +153,7 @@ class Hosts(Namespaces):
         return done.stdout if done.returncode == 0 else None
 
     def play_launch(self, *words: str) -> list[str]:
-        return self.command(str(Path(sys.executable).with_name("play-launch")), *words)
+        return self.command(str(COMMAND), *words)
 
     def run(self, *words: str, code: int | None = None) -> subprocess.CompletedProcess[str]:
         """Run play-launch on h1 to its end; with ``code``, it has to exit with that."""
@@ -182,7 +182,7 @@ class Running:
                 start_new_session=True,
             )
 
-    def ask(self, *words: str, code: int = 0) -> str:
+    def ask(self, *words: str, code: int | None = 0) -> str:
         done = subprocess.run(
             self.net.play_launch(*words, "--session", str(self.process.pid)),
             env=self.net.environment,
@@ -191,7 +191,9 @@ class Running:
             timeout=60,
             check=False,
         )
-        assert done.returncode == code, f"{words}: {done.stdout}{done.stderr}{self.printed()}"
+        assert code in {None, done.returncode}, (
+            f"{words}: {done.stdout}{done.stderr}{self.printed()}"
+        )
         return done.stdout + done.stderr
 
     def loaded(self) -> Running:
@@ -230,3 +232,51 @@ def running(net: Hosts, config: Path) -> Iterator[Running]:
             except subprocess.TimeoutExpired:
                 started.process.kill()
                 started.process.wait()
+
+
+def system(
+    folder: Path, name: str, *, more: str = "", h3: str = "", talker: str = "talker"
+) -> Path:
+    path = folder / f"{name}.yaml"
+    path.write_text(
+        f"""\
+version: 1
+name: {name}
+{more}
+environment:
+  ROS_AUTOMATIC_DISCOVERY_RANGE: SUBNET
+  ROS_DOMAIN_ID: "{os.environ.get("ROS_DOMAIN_ID", "7")}"
+  PLAY_LAUNCH_LOG_DIR: {folder}/log
+machines:
+  main: {{local: true}}
+  h2: {{service: none, play_launch: {COMMAND}, lost_after: 1 s}}
+  h3: {{service: none, play_launch: {COMMAND}, lost_after: 1 s{h3}}}
+containers:
+  - name: talk
+    machine: h2
+    container_type: isolated
+    composable_nodes:
+      - {{package: play_launch_demo, plugin: "play_launch_demo::Talker", name: {talker}}}
+  - name: listen
+    machine: h3
+    container_type: isolated
+    depends_on: [talk]
+    composable_nodes:
+      - {{package: play_launch_demo, plugin: "play_launch_demo::Listener", name: listener}}
+nodes:
+  - {{name: clock, command: [sleep, "1000"]}}
+  - name: ticks
+    machine: h3
+    command: [bash, -c, "i=0; while :; do echo tick $((i += 1)); read -t 0.05 <> <(:); done"]
+"""
+    )
+    return path
+
+
+def supervisors(net: Hosts, number: int) -> list[int]:
+    found = []
+    for pid in net.pids(number):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            if b"\0--machine\0" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                found.append(pid)
+    return found

@@ -61,7 +61,7 @@ class Bundle:
     def __init__(
         self,
         part: ReplayConfig,
-        arguments: Sequence[str],
+        arguments: tuple[str, ...],
         files: Mapping[str, bytes],
         *,
         home: str,
@@ -71,7 +71,7 @@ class Bundle:
         """Name the folder; ``home`` is of the machine, ``program`` is the local play-launch."""
         self._part = part
         self.machine = part.machines[part.machine]
-        self._arguments = arguments
+        self.arguments = arguments
         self._program = program
         self._peers = peers
         digest = hashlib.sha256(json.dumps(list(arguments)).encode())
@@ -133,7 +133,7 @@ class Bundle:
         program = (
             shlex.quote(self._program) if self.machine.local else _path(self.machine.play_launch)
         )
-        words = ["--machine", self.machine.name, self.source, *self._arguments]
+        words = ["--machine", self.machine.name, self.source, *self.arguments]
         lines.append(f"exec {program} {command} {shlex.join(words)}")
         return "\n".join(lines) + "\n"
 

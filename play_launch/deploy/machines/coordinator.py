@@ -12,9 +12,10 @@ import anyio
 from play_launch import ExitCode
 from play_launch.config.machines import DiscoveryBy, part_of, stopped_after, used_machines
 from play_launch.control.event_words import event_object, words_of
-from play_launch.control.protocol import OperationError
+from play_launch.control.protocol import Code, OperationError
+from play_launch.deploy.machines.applying import Applying
 from play_launch.deploy.machines.hosts import HostError, LinkLost
-from play_launch.deploy.machines.part import Part
+from play_launch.deploy.machines.part import BEGUN, OVER, Part
 from play_launch.deploy.machines.requests import Requests
 from play_launch.deploy.unit import stop_seconds
 from play_launch.supervisor.events import MachineState
@@ -22,8 +23,10 @@ from play_launch.supervisor.events import MachineState
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Sequence
 
+    from anyio.abc import TaskGroup
+
     from play_launch.config.model import ReplayConfig
-    from play_launch.supervisor.events import RunEvent
+    from play_launch.supervisor.events import MachineChanged, RunEvent
 
     Show = Callable[[str, dict[str, Any]], None]
     """Shows an event of a machine."""
@@ -49,25 +52,23 @@ class Coordinator:
     ) -> None:
         """Prepare; ``program`` is play-launch on this machine."""
         self.config = config
+        self._program = program
         self._show = show
         self._record = record
         self._met_changed = asyncio.Event()
+        self._changed = asyncio.Event()
+        """Set when the state of a machine has changed."""
+        self._followed: dict[Part, anyio.CancelScope] = {}
+        """Those whose session may be running."""
+        self._tasks: TaskGroup | None = None
+        """Of what goes on while the system runs; None before and once it is to stop."""
         self._ended = asyncio.Event()
-        self._over = asyncio.Event()
-        """Whether no machine has anything left to do."""
         self._failures: dict[str, str] = {}
         self.parts = {
-            name: Part(
-                part_of(config, name),
-                arguments,
-                program,
-                on_event=self._take,
-                on_met=self._met_changed.set,
-                on_change=self.publish,
-            )
-            for name in used_machines(config)
+            name: self.part(part_of(config, name), arguments) for name in used_machines(config)
         }
-        self.requests = Requests(self.parts)
+        """By machine; one that was removed stays as it ended."""
+        self.requests = Requests(self.parts, Applying(self))
         self.on_change: Callable[[], None] = lambda: None
         """Called when the state of a machine has changed."""
 
@@ -78,19 +79,22 @@ class Coordinator:
         once all are up, and they run on; the next coordinator adopts them. Raises HostError when a
         machine that is not optional cannot be used; nothing was started then.
         """
-        await _first_done(self._prepare(), stop.wait())
+        await _first_done(self._prepare_all(), stop.wait())
         if stop.is_set():
             for part in self.parts.values():
                 part.close()
             return ExitCode.OK
         async with anyio.create_task_group() as tasks:
+            self._tasks = tasks
             tasks.start_soon(self._exchange_conditions)
-            tasks.start_soon(self._accompany_all)
+            for part in self.parts.values():
+                self.follow(part)
             tasks.start_soon(self._watch_for_the_end)
             if detach:
                 await _first_done(stop.wait(), self._ended.wait(), self._all_loaded())
             else:
                 await _first_done(stop.wait(), self._ended.wait())
+            self._tasks = None
             code = self._exit_code()
             if not detach or stop.is_set():
                 await _first_done(self._stop(), hurry.wait())
@@ -100,6 +104,21 @@ class Coordinator:
         for part in self.parts.values():
             part.close()
         return code
+
+    def part(self, config: ReplayConfig, arguments: Sequence[str]) -> Part:
+        """Prepare the part of a machine."""
+        return Part(
+            config,
+            arguments,
+            self._program,
+            on_event=self._take,
+            on_met=self._met_changed.set,
+            on_change=self._note,
+        )
+
+    def _note(self, change: MachineChanged) -> None:
+        self.publish(change)
+        self._changed.set()
 
     def publish(self, event: RunEvent) -> None:
         """Take an event of the coordinator itself."""
@@ -129,9 +148,7 @@ class Coordinator:
         """Wait until all units of all machines are up, or failed for good."""
 
         async def loaded(part: Part) -> None:
-            while part.state is not MachineState.RUNNING:
-                part.changed.clear()
-                await part.changed.wait()
+            await part.until_not(BEGUN)
             with contextlib.suppress(OperationError, LinkLost):
                 await part.ask("wait", {"timeout": _BRING_UP})
 
@@ -141,34 +158,42 @@ class Coordinator:
 
     # Start and end.
 
-    async def _prepare(self) -> None:
-        """Prepare all machines at once; raises HostError with a line for each that fails."""
-        problems: dict[str, str] = {}
-
-        async def prepare(part: Part) -> None:
-            try:
-                await part.prepare()
-            except HostError as error:
-                problems[part.name] = str(error)
-
-        async with anyio.create_task_group() as tasks:
-            for part in self.parts.values():
-                tasks.start_soon(prepare, part)
-        fatal = [name for name in problems if not self.config.machines[name].optional]
-        if fatal:
-            for part in self.parts.values():
-                part.close()
-            raise HostError("\n".join(f"machine {name}: {problems[name]}" for name in problems))
-        for name, problem in problems.items():
-            _log.warning("%s: %s; the others start without it", name, problem)
-            part = self.parts.pop(name)
-            part.put(MachineState.FAILED, problem)
-            part.close()
+    async def _prepare_all(self) -> None:
+        for part in await self.prepare(tuple(self.parts.values())):
+            part.put(MachineState.FAILED, part.reason)
+            del self.parts[part.name]
         if self.config.discovery is DiscoveryBy.PEERS:
             try:
                 await self._share_addresses()
             except LinkLost as lost:
                 raise HostError(f"a machine was lost: {lost}") from None
+
+    async def prepare(self, parts: Sequence[Part]) -> list[Part]:
+        """Prepare parts at once; return those of optional machines that cannot be used.
+
+        Raises HostError with a line for each problem where another one cannot; all are closed then.
+        """
+        problems: dict[Part, str] = {}
+
+        async def prepare(part: Part) -> None:
+            try:
+                await part.prepare()
+            except HostError as error:
+                problems[part] = str(error)
+
+        async with anyio.create_task_group() as tasks:
+            for part in parts:
+                tasks.start_soon(prepare, part)
+        if any(not part.machine.optional for part in problems):
+            for part in parts:
+                part.close()
+            lines = (f"machine {part.name}: {problems[part]}" for part in parts if part in problems)
+            raise HostError("\n".join(lines))
+        for part, problem in problems.items():
+            _log.warning("%s: %s; the others start without it", part.name, problem)
+            part.reason = problem
+            part.close()
+        return list(problems)
 
     async def _share_addresses(self) -> None:
         """Give each part the addresses of all, for ROS_STATIC_PEERS."""
@@ -182,43 +207,56 @@ class Coordinator:
             part.peers = tuple(found)
             await part.adopt(part.config, await part.bring(part.config))
 
-    async def _accompany_all(self) -> None:
-        async with anyio.create_task_group() as tasks:
-            for part in self.parts.values():
-                tasks.start_soon(self._accompany, part)
-        self._over.set()
+    def follow(self, part: Part) -> None:
+        """Start or adopt the session of a part, and accompany it to its end."""
+        assert self._tasks is not None
+        self._failures.pop(part.name, None)
+        self._followed[part] = scope = anyio.CancelScope()
+        self._tasks.start_soon(self._accompany, part, scope)
 
-    async def _accompany(self, part: Part) -> None:
-        try:
-            await part.run()
-        except HostError as error:
-            self._fail(part, error)
-        except Exception as error:  # noqa: BLE001 - the other machines continue
-            _log.exception("%s cannot be accompanied any more", part.name)
-            self._fail(part, error)
+    async def _accompany(self, part: Part, scope: anyio.CancelScope) -> None:
+        with scope:
+            try:
+                await part.run()
+            except HostError as error:
+                self._fail(part, error)
+            except Exception as error:  # noqa: BLE001 - the other machines continue
+                _log.exception("%s cannot be accompanied any more", part.name)
+                self._fail(part, error)
+        del self._followed[part]
+        self._changed.set()
+
+    def require_running(self) -> None:
+        """Raises OperationError while the system is being started or stopped."""
+        if self._tasks is None or self._ended.is_set():
+            raise OperationError(Code.REFUSED, "the system is being started, or stopped")
+
+    def leave(self, part: Part) -> None:
+        """Accompany a part no longer; what may run there goes on."""
+        self._followed[part].cancel()
+        part.close()
+        part.put(MachineState.ENDED, "it was removed while it was unreachable")
 
     def _fail(self, part: Part, error: Exception) -> None:
         self._failures[part.name] = str(error)
         part.put(MachineState.FAILED, str(error))
 
     async def _watch_for_the_end(self) -> None:
-        over = {MachineState.ENDED, MachineState.FAILED}
         while True:
-            for part in self.parts.values():
-                part.changed.clear()
+            self._changed.clear()
             self.on_change()
             ends_all = next((each.name for each in self.parts.values() if each.ends_all), None)
-            ended = {name for name, part in self.parts.items() if part.state in over}
+            ended = {name for name, part in self.parts.items() if part.state in OVER}
             if ends_all in ended:
                 _log.warning("%s ends the whole system (on_exit: shutdown)", ends_all)
             if len(ended) == len(self.parts) or ends_all in ended:
                 self._ended.set()
                 return
-            await _first_done(*(part.changed.wait() for part in self.parts.values()))
+            await self._changed.wait()
 
     async def _stop(self) -> None:
         """Stop the machines, those first that depend on others."""
-        before = stopped_after(self.requests.applied or self.config)
+        before = stopped_after(self.config)
         left = set(self.parts)
         while left:
             now = {name for name in left if not before.get(name, frozenset()) & left} or set(left)
@@ -229,7 +267,9 @@ class Coordinator:
                     tasks.start_soon(part.stop, float(stop_seconds(part.config)))
         lost = any(each.state is MachineState.UNREACHABLE for each in self.parts.values())
         with anyio.move_on_after(0 if lost else _CLOSING):
-            await self._over.wait()
+            while self._followed:
+                self._changed.clear()
+                await self._changed.wait()
         for part in self.parts.values():
             if part.state is MachineState.UNREACHABLE:
                 _log.error("%s could not be stopped: %s", part.name, part.reason)
@@ -244,15 +284,13 @@ class Coordinator:
 
     async def _exchange_conditions(self) -> None:
         """Tell each machine what is met on the others."""
-        told: dict[str, list[list[str]]] = {}
         while True:
             await self._met_changed.wait()
             self._met_changed.clear()
             for part in tuple(self.parts.values()):
                 others = (each for each in self.parts.values() if each is not part)
                 met = sorted(list(each) for other in others for each in other.met)
-                if told.get(part.name) != met:
-                    told[part.name] = met
+                if part.told != met:
                     await part.tell(met)
 
 

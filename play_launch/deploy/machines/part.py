@@ -21,7 +21,7 @@ from play_launch.deploy.machines.hosts import HostError, LinkLost, SessionGone, 
 from play_launch.supervisor.events import MachineChanged, MachineState
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Sequence
+    from collections.abc import Awaitable, Callable, Container, Sequence
 
     from play_launch.config.machines import MachineConfig
     from play_launch.config.model import ReplayConfig
@@ -42,6 +42,9 @@ _STARTS: Final = 5
 """Starts of a session that was killed, in a minute."""
 _REFRESH: Final = 0.3
 """Seconds between an event and the rows that are kept for when the machine is lost."""
+BEGUN: Final = frozenset((MachineState.CONNECTING, MachineState.STARTING, MachineState.UNREACHABLE))
+"""A machine is on its way, or back."""
+OVER: Final = frozenset((MachineState.ENDED, MachineState.FAILED))
 _UNTIL_GONE: Final = """\
 for i in $(seq 1000); do kill -0 {pid} 2> /dev/null || break; sleep 0.05; done"""
 
@@ -161,15 +164,15 @@ class Part:
     async def stop(self, limit: float) -> None:
         """End its session in order, and wait for that; one that is being started comes up first."""
         with anyio.move_on_after(limit):
-            await self._until_not({MachineState.CONNECTING, MachineState.STARTING})
+            await self.until_not({MachineState.CONNECTING, MachineState.STARTING})
             await self.request_end()
-            await self._until_not({MachineState.RUNNING})
+            await self.until_not({MachineState.RUNNING})
 
     async def request_end(self) -> None:
         with contextlib.suppress(LinkLost, OperationError):
             await self.ask("end")
 
-    async def _until_not(self, states: set[MachineState]) -> None:
+    async def until_not(self, states: Container[MachineState]) -> None:
         while self.state in states:
             self.changed.clear()
             await self.changed.wait()
@@ -177,6 +180,7 @@ class Part:
     def close(self) -> None:
         if self._host is not None:
             self._host.close()
+        self._host = None
 
     async def bring(self, part: ReplayConfig, arguments: Sequence[str] | None = None) -> Bundle:
         """Copy what a configuration needs there, unless it is there; nothing is changed yet.
@@ -187,7 +191,7 @@ class Part:
         files = await asyncio.to_thread(files_of, part, self.machine.copy)
         bundle = Bundle(
             part,
-            self._arguments if arguments is None else arguments,
+            self._arguments if arguments is None else tuple(arguments),
             files,
             home=self._about.home,
             program=self._program,
@@ -199,7 +203,8 @@ class Part:
     async def adopt(self, part: ReplayConfig, bundle: Bundle) -> None:
         """Take a configuration that was brought as that of the part; raises LinkLost."""
         await self.host.run(bundle.adopt_command())
-        self.config, self._bundle = part, bundle
+        self.config, self._bundle, self._arguments = part, bundle, bundle.arguments
+        self.machine = bundle.machine
 
     # Start.
 
@@ -336,10 +341,11 @@ class Part:
         while True:
             await self._stale.wait()
             self._stale.clear()
-            await self._refresh()
+            await self.refresh()
             await asyncio.sleep(_REFRESH)
 
-    async def _refresh(self) -> None:
+    async def refresh(self) -> None:
+        """Raises LinkLost and OperationError."""
         self.rows = await self.ask("ps")
 
     async def tell(self, met: list[list[str]]) -> None:
@@ -400,18 +406,18 @@ class Part:
         if self.state is not MachineState.UNREACHABLE:
             self.put(MachineState.UNREACHABLE, f"the connection is lost: {lost}")
         self.close()
-        self._host = None
 
     async def _return(self) -> None:
         """Connect again, as often as it takes, and attach to what runs there."""
         pause, longest = _RETRY
         while True:
             try:
-                host = await connect(self.machine)
+                self._host = await connect(self.machine)
                 boot = "" if self._about is None else self._about.boot
-                self._host, self._about = host, await about(host)
+                self._about = await about(self._host)
                 break
             except (LinkLost, HostError) as error:
+                self.close()
                 self.reason = str(error)
                 await asyncio.sleep(pause)
                 pause = min(2 * pause, longest)

@@ -9,12 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import anyio
 from msgspec import json, to_builtins
-from msgspec.structs import asdict
 
-from play_launch.config.machines import part_of, used_machines
 from play_launch.config.model import ContainerConfig
 from play_launch.config.node_key import NodeKey
-from play_launch.config.problems import ConfigError
 from play_launch.control.messages import (
     ChangeRequest,
     EventsRequest,
@@ -23,30 +20,28 @@ from play_launch.control.messages import (
     read_arguments,
 )
 from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, Code, OperationError
-from play_launch.control.serve import read_change
 from play_launch.control.units import chosen
-from play_launch.deploy.machines.hosts import HostError, LinkLost
+from play_launch.deploy.machines.hosts import LinkLost
+from play_launch.deploy.machines.part import BEGUN
 from play_launch.recording.console_format import logger_of, loggers_in
 from play_launch.supervisor.events import MachineState
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+    from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 
     from play_launch.config.model import ReplayConfig
     from play_launch.control.messages import Caller, Request
     from play_launch.control.units import Target
-    from play_launch.deploy.machines.bundle import Bundle
     from play_launch.deploy.machines.part import Part
+
+    Change = Callable[[ChangeRequest, Caller], Awaitable[object]]
+    """Carries out `apply`."""
 
 _EVENTS: Final = 5000
 """Events of all machines that are kept for clients."""
 _QUEUE: Final = 5000
 _ACTIONS: Final = frozenset((*MEMBER_ACTIONS, *NODE_ACTIONS, "signal", "wait"))
 _LISTS: Final = frozenset(("ps", "status", "parameters"))
-_BEGUN: Final = frozenset(
-    (MachineState.CONNECTING, MachineState.STARTING, MachineState.UNREACHABLE)
-)
-"""A machine is on its way, or back."""
 _NOTICED: Final = 0.5
 """Seconds in which the loss of a machine is noticed, until it is asked again."""
 _LEAST: Final = 0.001
@@ -71,12 +66,11 @@ class _MachineLostError(OperationError):
 class Requests:
     """Operations on all machines of a system. Belongs to the thread of the event loop."""
 
-    def __init__(self, parts: Mapping[str, Part]) -> None:
+    def __init__(self, parts: Mapping[str, Part], change: Change) -> None:
         self._parts = parts
+        self._change = change
         self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
         self._followers: list[Callable[[dict[str, Any]], None]] = []
-        self.applied: ReplayConfig | None = None
-        """The configuration that was applied last."""
 
     async def __call__(self, request: Request, caller: Caller) -> object:
         arguments = _object(request.arguments)
@@ -93,7 +87,7 @@ class Requests:
                 return await self._first("environment", caller)
             case "snapshot":
                 found = [
-                    await self._result(part, "snapshot", {}, caller) for part in self._reachable()
+                    await self.result(part, "snapshot", {}, caller) for part in self._reachable()
                 ]
                 return {key: sum(each[key] for each in found) for key in found[0]} if found else {}
         known = ", ".join(
@@ -107,10 +101,10 @@ class Requests:
 
     async def _first(self, operation: str, caller: Caller) -> object:
         for part in sorted(self._reachable(), key=lambda each: not each.machine.local):
-            return await self._result(part, operation, {}, caller)
+            return await self.result(part, operation, {}, caller)
         raise OperationError(Code.REFUSED, "no machine can be reached")
 
-    async def _stream(
+    async def stream(
         self, part: Part, operation: str, arguments: Mapping[str, Any], caller: Caller
     ) -> AsyncIterator[dict[str, Any]]:
         """Request an operation of one machine; raises OperationError, also when it is lost."""
@@ -132,11 +126,11 @@ class Requests:
         if not has_result:
             raise _MachineLostError(Code.FAILED, f"the session of {part.name} has ended meanwhile")
 
-    async def _result(
+    async def result(
         self, part: Part, operation: str, arguments: Mapping[str, Any], caller: Caller
     ) -> Any:
         result: Any = None
-        async for each in self._stream(part, operation, arguments, caller):
+        async for each in self.stream(part, operation, arguments, caller):
             result = each.get("result", result)
         return result
 
@@ -174,16 +168,14 @@ class Requests:
         deadline = anyio.current_time() + limit
         while True:
             with anyio.move_on_after(deadline - anyio.current_time()):
-                while part.state in _BEGUN:
-                    part.changed.clear()
-                    await part.changed.wait()
+                await part.until_not(BEGUN)
             if part.name not in self._parts:  # the others have started without it
                 return {"results": []}
             left = max(deadline - anyio.current_time(), _LEAST)
             try:
-                return await self._result(part, "wait", {**arguments, "timeout": left}, caller)
+                return await self.result(part, "wait", {**arguments, "timeout": left}, caller)
             except _MachineLostError:
-                if left == _LEAST or part.state not in {*_BEGUN, MachineState.RUNNING}:
+                if left == _LEAST or part.state not in {*BEGUN, MachineState.RUNNING}:
                     raise
             # Its loss may not have been noticed yet.
             with anyio.move_on_after(min(left, _NOTICED)):
@@ -202,7 +194,7 @@ class Requests:
                 if operation == "wait":
                     result = await self._wait(part, asked, caller)
                 else:
-                    result = await self._result(part, operation, asked, caller)
+                    result = await self.result(part, operation, asked, caller)
                 results.extend(result["results"])
             except OperationError as error:
                 errors.append(error)
@@ -265,81 +257,6 @@ class Requests:
         finally:
             self._followers.remove(append)
         return {"events": "sent"}
-
-    # Changes.
-
-    async def _change(self, request: ChangeRequest, caller: Caller) -> object:
-        """Compare or change each machine's part; only those that differ are changed."""
-        try:
-            target = await asyncio.to_thread(read_change, request)
-        except ConfigError as error:
-            text = f"{request.path} cannot be used, nothing was changed\n{error.for_people()}"
-            raise OperationError(Code.BAD_ARGUMENTS, text) from None
-        except ValueError as error:
-            raise OperationError(Code.BAD_ARGUMENTS, str(error)) from None
-        if request.text is not None:
-            raise OperationError(
-                Code.BAD_ARGUMENTS, "a launch file has no machines; write it with dump first"
-            )
-        used = used_machines(target)
-        if set(used) != set(self._parts):
-            text = f"it runs on {', '.join(used)}, and this system on {', '.join(self._parts)}"
-            raise OperationError(
-                Code.REFUSED, f"{text}; stop it and replay the other configuration"
-            )
-        lost = [name for name in used if self._parts[name].state is not MachineState.RUNNING]
-        if lost:
-            raise OperationError(Code.REFUSED, f"machine {lost[0]} is unreachable")
-        bundles = await self._bring(target, request.arguments)
-
-        def arguments(name: str, *, dry_run: bool) -> dict[str, Any]:
-            values = {**asdict(request), "path": bundles[name].source, "dry_run": dry_run}
-            del values["text"], values["environment"]  # the variables are those of the machine
-            return values
-
-        plans: dict[str, dict[str, Any]] = {}
-        for name in used:
-            asked = arguments(name, dry_run=True)
-            plans[name] = (await self._result(self._parts[name], "apply", asked, caller))["plan"]
-            for step in plans[name]["steps"]:
-                step["machine"] = name
-        steps = [step for plan in plans.values() for step in plan["steps"]]
-        if request.dry_run:
-            return {"plan": {"steps": steps}, "applying": None}
-        await caller.send("plan", {"steps": steps})
-        outcomes: list[dict[str, Any]] = []
-        failures: list[str] = []
-
-        async def apply(part: Part) -> None:
-            asked = arguments(part.name, dry_run=False)
-            try:
-                async for message in self._stream(part, "apply", asked, caller):
-                    if "step" in message:
-                        await caller.send("step", message["step"])
-                    if "result" in message:
-                        outcomes.extend(message["result"]["applied"]["outcomes"])
-                await part.adopt(part_of(target, part.name), bundles[part.name])
-            except (OperationError, LinkLost) as error:
-                failures.append(f"{part.name}: {error}")
-
-        async with anyio.create_task_group() as tasks:
-            for name, plan in plans.items():
-                if plan["steps"]:
-                    tasks.start_soon(apply, self._parts[name])
-        applied = {"plan": {"steps": steps}, "outcomes": outcomes, "rollback": None}
-        if failures:
-            raise OperationError(Code.FAILED, "; ".join(failures), applied=applied)
-        self.applied = target
-        return {"applied": applied}
-
-    async def _bring(self, target: ReplayConfig, arguments: Sequence[str]) -> dict[str, Bundle]:
-        found = {}
-        for name, part in tuple(self._parts.items()):
-            try:
-                found[name] = await part.bring(part_of(target, name), arguments)
-            except (LinkLost, HostError) as error:
-                raise OperationError(Code.REFUSED, f"machine {name}: {error}") from None
-        return found
 
 
 class _Wanted:
