@@ -93,6 +93,7 @@ _ALL: Final = (
     Verb("apply", CONTROL, "Change a session to match a configuration."),
     Verb("param", CONTROL, "Get, set and dump parameters of nodes."),
     Verb("snapshot", CONTROL, "Write the pre-crash buffer (record.before_crash).", "operate"),
+    Verb("expect", CONTROL, "Compare topics with what is expected of them."),
     Verb("info", _ANALYSE, "Summarise a recording."),
     Verb("inspect", _ANALYSE, "Print the events of a recording."),
     Verb("report", _ANALYSE, "Write an HTML page about a recording."),

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from play_launch.runtime.signals import StopRequests
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import RunEvent
+    from play_launch.supervisor.expectations import Expectations
     from play_launch.supervisor.view import SystemView
 
 _log = logging.getLogger(__name__)
@@ -67,6 +68,7 @@ class Background(Struct):
     publisher: Publisher
     stop: StopRequests
     snapshots: Snapshots
+    expectations: Expectations
     system: asyncio.Future[System]
     operable: asyncio.Future[None]
     """Done when commands are answered, or never will be."""
@@ -126,12 +128,13 @@ class Background(Struct):
         await look_after_sessions(folder, keep, lambda: publisher.view, spawn_guard())
 
     async def _record_topics(self) -> None:
-        if not self.config.record.ros:
+        if not self.config.record.ros and not self.config.expect:
             return
         await self._system_is_up()
         from play_launch.recording.topic_recorder.supervision import TopicRecording  # noqa: PLC0415
 
-        recording = TopicRecording(self.config, self.session.recorder)
+        publish = self.publisher.publish
+        recording = TopicRecording(self.config, self.session.recorder, self.expectations, publish)
         if self.config.record.before_crash is None:
             await recording.run()
             return
@@ -159,6 +162,7 @@ class Background(Struct):
                 publisher=self.publisher,
                 feed=self.sink.feed,
                 snapshots=self.snapshots,
+                expectations=self.expectations,
                 hide_secrets=self.sink.hide_secrets,
                 adopt=self.sink.adopt,
                 keeps_duration=self.options.keeps_duration,

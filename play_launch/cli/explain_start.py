@@ -73,8 +73,8 @@ def processes(config: ReplayConfig) -> list[dict[str, Any]]:
     started = (each for each in config.members if each.full_name not in attached)
     shares = shared_processes(config, machine)
     found = [_member(each, machine, config.stop.ask, shares) for each in started]
-    if config.record.ros:
-        argv = recorder_argv(recorder, config.record, _DESCRIPTOR, "(clock)")
+    if config.record.ros or config.expect:
+        argv = recorder_argv(recorder, config, _DESCRIPTOR, "(clock)")
         environment = child_environment(os.environ, ros, config.environment)
         found.append(_Process("", _RECORDER, "", Command(argv, environment)))
     return [_values(process, caller, secrets) | _sharing(process, found) for process in found]

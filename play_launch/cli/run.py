@@ -35,6 +35,7 @@ from play_launch.recording.session import Session, SessionDescription, open_sess
 from play_launch.recording.topic_recorder import Snapshots
 from play_launch.runtime.signals import RunSignals, StopRequests
 from play_launch.supervisor.events import GroupSample, OutputLine
+from play_launch.supervisor.expectations import Expectations
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -214,6 +215,7 @@ async def _until_the_end(
             publisher=publisher,
             stop=stop,
             snapshots=Snapshots(),
+            expectations=Expectations(config.expect),
             system=asyncio.get_running_loop().create_future(),
             operable=asyncio.get_running_loop().create_future(),
         )

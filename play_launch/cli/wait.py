@@ -38,7 +38,8 @@ def wait(
         typer.Option(
             "--for",
             help="loaded: containers and processes run, nodes are loaded. ready: nodes are in the "
-            "ROS graph as well. active: managed (lifecycle) nodes are active as well.",
+            "ROS graph, and topics are as expected, as well. active: managed (lifecycle) nodes "
+            "are active as well.",
         ),
     ] = "loaded",
     timeout: Annotated[
@@ -60,6 +61,8 @@ def wait(
         missing: list[str] = []
         if condition != "loaded":
             up, missing = _wait_in_the_graph(client, wanted, condition, deadline, up)
+            if not missing and not wanted:
+                _up(client, wanted, "expected", deadline)
     seconds = time.monotonic() - began
     if as_json:
         values: dict[str, Any] = {
@@ -82,7 +85,7 @@ def _up(client: ControlClient, names: list[str], condition: str, deadline: float
     """Wait for what the session knows of, and return the names of what is up."""
     left = max(deadline - time.monotonic(), _LEAST)
     # Nodes with autostart can fail on the way to active. The others are queried, see below.
-    known = "active" if condition == "active" else "loaded"
+    known = "loaded" if condition == "ready" else condition
     arguments = {"names": names, "timeout": left, "for": known}
     answer = client.ask("wait", arguments, limit=left + _SPARE)
     return [each["name"] for each in answer["results"]]

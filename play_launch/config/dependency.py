@@ -34,6 +34,8 @@ class Condition(StrEnum):
     """The topic `subject` has a publisher."""
     SERVICE = "service"
     FILE = "file"
+    EXPECT = "expect"
+    """The topic `subject` is as expected."""
 
 
 OF_UNITS: Final = (Condition.STARTED, Condition.LOADED, Condition.ACTIVE, Condition.EXITED)
@@ -80,6 +82,7 @@ class Dependency(Struct, frozen=True, kw_only=True):
             Condition.TOPIC: f"a publisher of {self.subject}",
             Condition.SERVICE: f"the service {self.subject}",
             Condition.FILE: f"the file {self.subject}",
+            Condition.EXPECT: f"{self.subject} to be as expected",
         }[self.condition]
 
 

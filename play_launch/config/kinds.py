@@ -212,6 +212,17 @@ def _parse_sampling_period(value: object) -> float:
     return period
 
 
+def _parse_rate(value: object) -> float:
+    number = value.strip().removesuffix("Hz") if isinstance(value, str) else value
+    try:
+        rate = math.nan if isinstance(number, bool) else float(number)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        rate = math.nan
+    if not 0 < rate < math.inf:
+        raise ValueError(f"expected a rate such as 10 or 10 Hz, given {excerpt(str(value))}")
+    return rate
+
+
 def _parse_log_level(value: object) -> str:
     level = value.lower() if isinstance(value, str) else ""
     if level == "warning":
@@ -261,6 +272,10 @@ NODE_NAME: Final = _text(check_node_name)
 OWN_NODE_NAME: Final = _text(lambda name: check_node_name(name) if name else name)
 NAMESPACE: Final = _text(check_namespace)
 TOPIC_PATTERN: Final = _text(check_topic_pattern)
+RATE: Final = _parsed(
+    _parse_rate,
+    _substitutable({"type": "number", "exclusiveMinimum": 0}, _pattern(rf"{_NUMBER_AND_UNIT}Hz$")),
+)
 GRAPH_NAME: Final = _text(lambda name: check_topic(f"/{name.removeprefix('/')}"))
 BUDGET: Final[ValueKind[int | dict[str, float]]] = ValueKind(
     core_schema.no_info_wrap_validator_function(

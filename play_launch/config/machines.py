@@ -79,7 +79,9 @@ def part_of(config: ReplayConfig, machine: str) -> ReplayConfig:
     rules: dict[str, StartRule] = {}
     awaited: dict[Dependency, None] = {}
     for unit, rule in config.start_rules.items():
-        dependencies = [_seen_from(places[unit], each, places) for each in rule.dependencies]
+        dependencies = [
+            _seen_from(places[unit], each, places, config) for each in rule.dependencies
+        ]
         if places[unit] == machine:
             rules[unit] = StartRule(dependencies=tuple(dependencies), delay=rule.delay)
         awaited |= {
@@ -98,6 +100,9 @@ def part_of(config: ReplayConfig, machine: str) -> ReplayConfig:
         environment=MappingProxyType({**config.environment, **own.environment}),
         start_rules=MappingProxyType(rules),
         managed=MappingProxyType(managed),
+        expect=MappingProxyType(
+            {topic: each for topic, each in config.expect.items() if each.machine == machine}
+        ),
     )
 
 
@@ -180,7 +185,11 @@ def _places(config: ReplayConfig) -> dict[str, str]:
     }
 
 
-def _seen_from(machine: str, dependency: Dependency, places: dict[str, str]) -> Dependency:
+def _seen_from(
+    machine: str, dependency: Dependency, places: dict[str, str], config: ReplayConfig
+) -> Dependency:
     """Return a dependency as a unit of a machine has it."""
     place = places.get(dependency.unit, machine)
+    if dependency.condition is Condition.EXPECT:
+        place = config.expect[dependency.subject].machine
     return dependency if place == machine else replace(dependency, machine=place)

@@ -15,6 +15,7 @@ from msgspec import Struct
 from msgspec.structs import force_setattr
 
 from play_launch.config.dependency import StartRule
+from play_launch.config.expectations import Expectation
 from play_launch.config.machines import DiscoveryBy, MachineConfig
 from play_launch.config.node_key import NodeKey
 from play_launch.config.resources import GroupPolicy, Resources
@@ -381,8 +382,8 @@ class ReplayConfig(Struct, frozen=True, kw_only=True):
     is the seconds after which the system is stopped, None for never. `graph_daemon` is whether
     the graph daemon of the ROS domain runs beside the nodes, and is asked what it sees.
     `start_rules` are by unit, see `play_launch.config.dependency`, for units that wait for
-    something, as are the nodes in `managed`. `machine` is the one of `machines` that this is the
-    part of, empty for the whole.
+    something, as are the nodes in `managed`. `expect` is by topic. `machine` is the one of
+    `machines` that this is the part of, empty for the whole.
     """
 
     name: str
@@ -402,6 +403,7 @@ class ReplayConfig(Struct, frozen=True, kw_only=True):
     nodes: tuple[ProcessConfig, ...] = ()
     start_rules: Mapping[str, StartRule] = _EMPTY
     managed: Mapping[str, ManagedConfig] = _EMPTY
+    expect: Mapping[str, Expectation] = _EMPTY
     machines: Mapping[str, MachineConfig] = _EMPTY
     machine: str = ""
     discovery: DiscoveryBy = DiscoveryBy.MULTICAST

@@ -34,6 +34,7 @@ from play_launch.config.sections import (
     CgroupsSection,
     DependencySection,
     DiscoverySection,
+    ExpectationSection,
     MachineSection,
     RecordSection,
     ResourcesSection,
@@ -355,6 +356,11 @@ class DocumentSection(ConfigSection):
         {"ask": "3 s", "sigint": "2 s", "sigterm": "2 s"},
     )
     record = nested(RecordSection, "How the session is recorded.", {"topics": ["/tf", "/lidar/*"]})
+    expect = mapped(
+        ExpectationSection,
+        "What is expected of topics, by name: measured, reported when it breaks, and waited for.",
+        {"/scan": {"min_rate": "8 Hz", "max_gap": "500 ms", "publishers": 1}},
+    )
     composable_node_loading = nested(
         LoadingSection,
         "Defaults for all containers.",

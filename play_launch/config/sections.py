@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from play_launch.config import kinds
 from play_launch.config.dependency import OF_UNITS, OnTimeout
+from play_launch.config.expectations import Durability, Reliability
 from play_launch.config.machines import DiscoveryBy, Service
 from play_launch.config.resources import SchedulerPolicy
 from play_launch.config.section import ConfigSection, mapped, nested, optional, raw, required
@@ -27,6 +28,7 @@ class DependencySection(ConfigSection):
     topic = optional(kinds.GRAPH_NAME, "This topic has a publisher.", "/scan")
     service = optional(kinds.GRAPH_NAME, "This service is offered.", "/map_server/load_map")
     file = optional(kinds.FILLED_TEXT, "This file exists.", "/dev/ttyUSB0")
+    expect = optional(kinds.GRAPH_NAME, "This topic is as expect of the file says.", "/scan")
     timeout = optional(
         kinds.POSITIVE_DURATION_OR_NEVER,
         "Duration to wait for it, or never. By default never.",
@@ -154,6 +156,31 @@ class RecordSection(ConfigSection):
         BeforeCrashSection,
         "What is kept in memory until something fails.",
         {"topics": ["/camera/*"], "seconds": "10 s"},
+    )
+
+
+class ExpectationSection(ConfigSection):
+    """One entry of `expect`: what is expected of a topic, which is measured while all runs."""
+
+    type = optional(kinds.FILLED_TEXT, "Type of its messages.", "sensor_msgs/msg/LaserScan")
+    min_rate = optional(kinds.RATE, "Least messages per second, of all publishers.", "8 Hz")
+    max_rate = optional(kinds.RATE, "Most messages per second, of all publishers.", "12 Hz")
+    max_gap = optional(kinds.POSITIVE_DURATION, "Longest duration between two messages.", "500 ms")
+    publishers = optional(kinds.integer(0, 1000), "Number of its publishers.", 1)
+    reliability = optional(
+        kinds.choice(Reliability),
+        "What each publisher offers: reliable or best_effort.",
+        "reliable",
+    )
+    durability = optional(
+        kinds.choice(Durability),
+        "What each publisher offers: transient_local or volatile.",
+        "transient_local",
+    )
+    machine = optional(
+        kinds.FILLED_TEXT,
+        "The one of machines where it is measured. By default that of the file.",
+        "vision",
     )
 
 

@@ -28,6 +28,7 @@ from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,
     ContainerState,
+    ExpectationChanged,
     ManagedNodeChanged,
     ManagedState,
     NodeState,
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import NodeStateChanged
+    from play_launch.supervisor.expectations import Expectations
     from play_launch.supervisor.view import ContainerView
 
     Outcomes = dict[Target, str]
@@ -68,6 +70,7 @@ _LEFT: Final = frozenset(
         NodeState.LOST,
     }
 )
+_STATES: Final = StateEvent | ManagedNodeChanged | Withdrawn | ExpectationChanged
 _NOT_LOADED: Final = frozenset({NodeState.LOAD_FAILED, NodeState.GAVE_UP, NodeState.UNLOADED})
 
 
@@ -118,8 +121,16 @@ class ActionLog:
 class Actions:
     """Carries out actions, and waits for states. Belongs to the thread of the event loop."""
 
-    def __init__(self, system: System, publisher: Publisher, feed: Feed, log: ActionLog) -> None:
+    def __init__(
+        self,
+        system: System,
+        publisher: Publisher,
+        feed: Feed,
+        log: ActionLog,
+        expectations: Expectations,
+    ) -> None:
         self._system = system
+        self._expectations = expectations
         self._publisher = publisher
         self._feed = feed
         self._log = log
@@ -166,8 +177,19 @@ class Actions:
                         return
                     await changed.wait()
 
-        await _within(request.timeout, until_up(), targets, outcomes)
+        async def until_all() -> None:
+            await until_up()
+            if request.condition == "expected" and not any(outcomes.values()):
+                await self._until_as_expected()
+
+        await _within(request.timeout, until_all(), targets, outcomes, self._expectations)
         return _results_or_failure(targets, outcomes)
+
+    async def _until_as_expected(self) -> None:
+        with self._state_changes() as changed:
+            while self._expectations.unmet:
+                changed.clear()
+                await changed.wait()
 
     def _expected(self) -> list[Target]:
         view = self._publisher.view
@@ -207,7 +229,7 @@ class Actions:
         changed = asyncio.Event()
 
         def see(each: Numbered) -> None:
-            if isinstance(each.event, StateEvent | ManagedNodeChanged | Withdrawn):
+            if isinstance(each.event, _STATES):
                 changed.set()
 
         with self._feed.followed_by(see):
@@ -359,7 +381,11 @@ class Actions:
 
 
 async def _within(
-    limit: float, work: Awaitable[None], targets: Sequence[Target], outcomes: Outcomes
+    limit: float,
+    work: Awaitable[None],
+    targets: Sequence[Target],
+    outcomes: Outcomes,
+    expectations: Expectations | None = None,
 ) -> None:
     """Await something for so many seconds; the OperationError names the units not done by then."""
     try:
@@ -367,6 +393,10 @@ async def _within(
             await work
     except TimeoutError:
         left = [full_name(target) for target in targets if target not in outcomes]
+        if not left and expectations is not None:
+            left = [
+                f"{each.topic}: {each.reason or 'not known yet'}" for each in expectations.unmet
+            ]
         raise OperationError(
             Code.TIMEOUT,
             f"not done within {limit:.3g} s: {listed(left, _LISTED)}",

@@ -21,6 +21,7 @@ from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,
     ContainerStateChanged,
+    ExpectationChanged,
     GraphChanged,
     GroupSample,
     LogRecord,
@@ -114,6 +115,10 @@ def words_of(event: RunEvent) -> EventText:
             state = f"{'has' if event.state in _OVER else 'is'} {event.state}"
             text = because(f"{event.machine} {state}", event.reason)
             return EventText(_level(event.state), OWN_NAME, text)
+        case ExpectationChanged(is_met=True):
+            return EventText(INFO, event.topic, "is as expected")
+        case ExpectationChanged():
+            return EventText(WARN, event.topic, f"is not as expected: {event.reason}")
         case GraphChanged():
             changes = [f"+ {name}" for name in event.appeared]
             changes += [f"- {name}" for name in event.vanished]
@@ -203,6 +208,7 @@ EVENT_TYPES: Final[dict[type[RunEvent], str]] = {
     ActionEvent: "action",
     ManagedNodeChanged: "managed",
     MachineChanged: "machine",
+    ExpectationChanged: "expectation",
     RecordingInterrupted: "recording_interrupted",
     ProcessSample: "process_sample",
     GroupSample: "group_sample",
@@ -264,5 +270,7 @@ def names_of(event: RunEvent) -> tuple[str, ...]:
             return (event.node,)
         case MachineChanged():
             return (event.machine,)
+        case ExpectationChanged():
+            return (event.topic,)
         case _:
             return ()

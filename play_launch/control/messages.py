@@ -82,8 +82,9 @@ class WaitRequest(Struct, frozen=True, kw_only=True):
     """names or patterns; everything that is configured if missing"""
     timeout: Seconds = 60.0
     """seconds"""
-    condition: Literal["loaded", "active"] = field(default="loaded", name="for")
-    """`loaded`; `active`: managed nodes with `autostart: activate` are active as well"""
+    condition: Literal["loaded", "active", "expected"] = field(default="loaded", name="for")
+    """`loaded`; `active`: managed nodes with `autostart: activate` are active as well;
+    `expected`: topics are as expected as well"""
 
 
 class EventsRequest(Selected, frozen=True, kw_only=True):

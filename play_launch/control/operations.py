@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import RunEvent
+    from play_launch.supervisor.expectations import Expectations
     from play_launch.supervisor.view import SystemView
 
 _SHOWN: int = 10
@@ -90,6 +91,7 @@ class Operations:
         feed: Feed,
         *,
         snapshots: Snapshots,
+        expectations: Expectations,
         environment: Mapping[str, str],
         parameters_of: Callable[[str], bytes | None],
         log: ActionLog,
@@ -103,11 +105,12 @@ class Operations:
         self._publisher = publisher
         self._feed = feed
         self._snapshots = snapshots
+        self._expectations = expectations
         self._parameters_of = parameters_of
         self._samples: Samples = {}
         self._log = log
         coordinated = Coordinated(system)
-        actions = Actions(system, publisher, feed, log)
+        actions = Actions(system, publisher, feed, log, expectations)
         self._table: dict[str, tuple[type[Struct], Callable[[Any, Caller], Awaitable[object]]]] = {
             "ps": (Selected, self._ps),
             "status": (Selected, self._status),
@@ -121,6 +124,7 @@ class Operations:
             },
             "signal": (SignalRequest, partial(actions.act, "signal")),
             "snapshot": (Nothing, self._snapshot),
+            "expectations": (Nothing, self._give_expectations),
             "apply": (ChangeRequest, apply),
             "clock": (Nothing, coordinated.clock),
             "meet": (Facts, coordinated.meet),
@@ -165,6 +169,9 @@ class Operations:
             for row in rows
         ]
         return [each for each in found if each is not None]
+
+    async def _give_expectations(self, _request: Nothing, _caller: Caller) -> object:
+        return self._expectations.states
 
     async def _events(self, request: EventsRequest, caller: Caller) -> object:
         if wrong := set(request.kinds) - KINDS:

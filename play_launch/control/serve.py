@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from play_launch.runtime.applying import Applying
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
+    from play_launch.supervisor.expectations import Expectations
     from play_launch.supervisor.plan import Applied, StepOutcome
 
 _log = logging.getLogger(__name__)
@@ -75,6 +76,7 @@ async def serve_control(
     publisher: Publisher,
     feed: Feed,
     snapshots: Snapshots,
+    expectations: Expectations,
     hide_secrets: Callable[[ReplayConfig], None],
     adopt: Callable[[ReplayConfig], None],
     keeps_duration: bool,
@@ -102,6 +104,7 @@ async def serve_control(
         publisher,
         feed,
         snapshots=snapshots,
+        expectations=expectations,
         environment={**os.environ, **config.environment},
         parameters_of=partial(session.recorder.latest, topics.PARAMETERS),
         log=changes.log,

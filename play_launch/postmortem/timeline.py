@@ -37,6 +37,7 @@ from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,
     ContainerStateChanged,
+    ExpectationChanged,
     GraphChanged,
     LogRecord,
     MachineChanged,
@@ -83,6 +84,8 @@ class Timeline:
         self.events_left_out = self.changes_left_out = 0
         self.interruptions: list[RecordingInterrupted] = []
         self.machines: dict[str, list[MachineChanged]] = {}
+        self.expectations: dict[str, list[ExpectationChanged]] = {}
+        """By topic."""
         self.samples = Samples()
         self.groups: dict[str, GroupUse] = {}
         """By the keys of their units."""
@@ -186,6 +189,8 @@ class Timeline:
                 self.interruptions.append(event)
             case MachineChanged():
                 self.machines.setdefault(event.machine, []).append(event)
+            case ExpectationChanged():
+                self.expectations.setdefault(event.topic, []).append(event)
             case Withdrawn():
                 self.unit(event.kind, event.key).is_withdrawn = True
             case GraphChanged():

@@ -29,6 +29,7 @@ from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,
     ContainerStateChanged,
+    ExpectationChanged,
     GraphChanged,
     GroupSample,
     LogRecord,
@@ -260,6 +261,14 @@ _MACHINE: Final = Form(
     _word("state", MachineState),
     besides=lambda event: {"kind": SubjectKind.MACHINE, "name": event.machine},
 )
+_EXPECTATION: Final = Form(
+    ExpectationChanged,
+    topics.STATES,
+    STATE_EVENT,
+    Column("topic", "key"),
+    Column("is_met", "state", lambda is_met: "met" if is_met else "broken", "met".__eq__),
+    besides=lambda event: {"kind": SubjectKind.EXPECTATION, "name": event.topic},
+)
 INTERRUPTED_STATE: Final = "interrupted"
 _INTERRUPTED: Final = Form(
     RecordingInterrupted,
@@ -276,6 +285,7 @@ STATES: Final[dict[SubjectKind, Form[Any]]] = {
     SubjectKind.MANAGED: _MANAGED,
     SubjectKind.RECORDING: _INTERRUPTED,
     SubjectKind.MACHINE: _MACHINE,
+    SubjectKind.EXPECTATION: _EXPECTATION,
 }
 """By what they are about; all have the same layout."""
 _FORMS: Final[dict[type, Form[Any]]] = {
@@ -323,6 +333,8 @@ def is_failure(event: RunEvent) -> bool:
             return event.level >= ERROR
         case NodeStateChanged() | ContainerStateChanged() | ManagedNodeChanged() | MachineChanged():
             return event.state in _FAILED
+        case ExpectationChanged():
+            return not event.is_met
         case _:
             return False
 

@@ -13,7 +13,7 @@ import anyio
 
 from play_launch.config.dependency import ABOUT_GRAPH, Condition
 from play_launch.process.session import in_a_thread
-from play_launch.supervisor.events import ManagedState, OutputLine
+from play_launch.supervisor.events import ExpectationChanged, ManagedState, OutputLine
 from play_launch.supervisor.inputs import Found, GoalReported, ManagedInput
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ more on a busy machine."""
 
 
 class Outside:
-    """Posts conditions that are met, as long as a unit waits for them; a sink for the lines.
+    """Posts conditions that are met, as long as a unit waits for them; a sink for the events.
 
     A line counts from when it was written; files and the graph count as they are now.
     """
@@ -132,7 +132,10 @@ class Outside:
             await self._graph.close()
 
     def publish(self, event: RunEvent, _before: SystemView, _after: SystemView) -> None:
-        """Search a line of output for the patterns."""
+        """Search a line of output for the patterns; note whether topics are as expected."""
+        if isinstance(event, ExpectationChanged):
+            about = frozenset({(Condition.EXPECT, "", event.topic)})
+            self._post(self._met | about if event.is_met else self._met - about)
         if not isinstance(event, OutputLine) or event.process not in self._patterns:
             return
         patterns = self._patterns[event.process]

@@ -56,7 +56,7 @@ class NodeState(StrEnum):
     REQUESTED = "requested"
     """The load was sent; the container has not answered."""
     LOADING = "loading"
-    """Accepted: it has a unique_id and its constructor runs."""
+    """Accepted: its constructor runs."""
     LOADED = "loaded"
     LOAD_FAILED = "load failed"
     UNLOADING = "unloading"
@@ -64,7 +64,6 @@ class NodeState(StrEnum):
     CRASHED = "crashed"
     """The node alone died; its container lives."""
     GAVE_UP = "gave up"
-    """It crashed and is not reloaded."""
     LOST = "lost"
     """Its container died or forgot it."""
 
@@ -79,7 +78,6 @@ class ContainerState(StrEnum):
     KILLING = "killing"
     """It was sent SIGKILL, for it no longer answers; its end has not been seen."""
     BACKOFF = "backoff"
-    """Dead; waits before it is started again."""
     GAVE_UP = "gave up"
     STOPPING = "stopping"
 
@@ -88,7 +86,6 @@ class ManagedState(StrEnum):
     """State of a managed node, as far as it was reported."""
 
     ABSENT = "absent"
-    """The node does not exist."""
     ASKED = "asked"
     """It exists, and has not reported its state."""
     UNCONFIGURED = "unconfigured"
@@ -101,9 +98,7 @@ class ManagedState(StrEnum):
     """A transition failed; the node stays in its state."""
 
 
-UNDER_WAY: Final = frozenset(
-    {ManagedState.ASKED, ManagedState.CONFIGURING, ManagedState.ACTIVATING}
-)
+UNDER_WAY: Final = {ManagedState.ASKED, ManagedState.CONFIGURING, ManagedState.ACTIVATING}
 """States that end with an answer or its timeout."""
 
 
@@ -117,6 +112,7 @@ class SubjectKind(IntEnum):
     """A managed node, beside what it is otherwise."""
     RECORDING = 4
     MACHINE = 5
+    EXPECTATION = 6
 
 
 class MemoryKind(IntEnum):
@@ -304,7 +300,6 @@ class ManagedNodeChanged(_Event, frozen=True, kw_only=True):
     """Full name."""
     state: ManagedState
     reason: str = ""
-    """Why it failed; else empty."""
 
 
 class MachineState(StrEnum):
@@ -326,6 +321,15 @@ class MachineChanged(_Event, frozen=True, kw_only=True):
     reason: str = ""
 
 
+class ExpectationChanged(_Event, frozen=True, kw_only=True):
+    """What is expected of a topic is met for the first time, or not any more, or again."""
+
+    topic: str
+    is_met: bool
+    reason: str = ""
+    """What differs; empty when it is met."""
+
+
 class ActionEvent(_Event, frozen=True, kw_only=True):
     """An operator's request to the running system, or its result."""
 
@@ -340,7 +344,7 @@ class ActionEvent(_Event, frozen=True, kw_only=True):
     """Of the requesting process, as reported by the kernel."""
     pid: int
     command: str
-    """The command line of that process, as it says itself; empty where it says none."""
+    """The command line of that process, as it reports itself."""
     reason: str = ""
     """Why it failed; of a request, what was asked for besides."""
 
@@ -380,7 +384,6 @@ class GroupSample(_Event, frozen=True, kw_only=True):
     cpu_seconds: float
     """Of all that was in it."""
     throttled_periods: int
-    """In which ``cpu_max`` held it back."""
     throttled_seconds: float
     cpu_pressure: float
     """Pressure stall: percent of the latest 10 s in which some of its threads waited for a core."""
@@ -388,7 +391,6 @@ class GroupSample(_Event, frozen=True, kw_only=True):
     io_pressure: float
     memory_bytes: int
     processes: int
-    """And threads, now."""
     oom_kills: int
     """Processes that the kernel killed because memory was exhausted (OOM)."""
     pids_max_hits: int
@@ -406,12 +408,10 @@ class SystemSample(_Event, frozen=True, kw_only=True):
     core_percent: tuple[float, ...]
     """Of each core by its number; NaN for one that is offline."""
     core_mhz: tuple[float, ...]
-    """Empty where the machine does not show it."""
     memory_total: int
     memory_available: int
     swap_used: int
     shm_used: int
-    """Of ``/dev/shm``."""
     shm_total: int
     disk_free: int
     """On the file system of the recording."""
@@ -422,7 +422,6 @@ class SystemSample(_Event, frozen=True, kw_only=True):
     """Pressure stall: percent of the latest 10 s in which some tasks waited for a core."""
     memory_some_avg10: float
     memory_full_avg10: float
-    """As above, but all tasks at once."""
     io_some_avg10: float
     io_full_avg10: float
     steal_percent: float
@@ -446,5 +445,6 @@ RunEvent = (
     | ActionEvent
     | ManagedNodeChanged
     | MachineChanged
+    | ExpectationChanged
     | RecordingInterrupted
 )

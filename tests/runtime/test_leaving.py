@@ -15,6 +15,7 @@ from play_launch.control.actions import ActionLog, Actions
 from play_launch.control.feed import Feed
 from play_launch.control.messages import ActionRequest, Caller, SignalRequest
 from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, OperationError
+from play_launch.supervisor.expectations import Expectations
 from play_launch.supervisor.plan import PlanAction
 
 from .fakes import FakeContainer, FakeLauncher, container, process, system
@@ -97,7 +98,7 @@ async def test_what_is_taken_out_meanwhile_is_reported_as_such(action: str, name
 
     async with running(BEFORE, FakeLauncher()) as sys:
         await sys.until_loaded(2)
-        actions = Actions(sys.operated, sys.publisher, Feed(), Late(sys))
+        actions = Actions(sys.operated, sys.publisher, Feed(), Late(sys), Expectations({}))
         request = ActionRequest(names=(name,))
         if action == "signal":
             request = SignalRequest(names=(name,), signal="USR1")

@@ -19,6 +19,7 @@ from play_launch.control.protocol import OperationError
 from play_launch.process.exit import Exit
 from play_launch.runtime.launcher import StartError
 from play_launch.supervisor.events import ProcessEventKind
+from play_launch.supervisor.expectations import Expectations
 from play_launch.supervisor.plan import Result
 
 from .fakes import FakeLauncher, process, system
@@ -41,7 +42,9 @@ def slow(sys: Running) -> None:
 
 
 async def stop(sys: Running, *names: str, timeout: float = 60.0) -> Results:
-    actions = Actions(sys.operated, sys.publisher, Feed(), ActionLog(sys.publisher))
+    actions = Actions(
+        sys.operated, sys.publisher, Feed(), ActionLog(sys.publisher), Expectations({})
+    )
     request = ActionRequest(names=names, timeout=timeout)
     return await actions.act("stop", request, Caller(os.getpid(), 0))
 

@@ -44,7 +44,27 @@ class ByteBudget {
   std::int64_t last_ = 0;
 };
 
-/// A topic that is recorded or held.
+/// What comes on a topic of which it is reported.
+struct Measure {
+  std::string topic;
+  std::string types;
+  std::uint32_t publishers = 0;
+  std::uint32_t reliable = 0;
+  std::uint32_t latched = 0;
+  std::uint64_t messages = 0;
+  /// Nanoseconds between two messages, at most.
+  std::uint64_t gap = 0;
+  /// When the latest message came, or measuring began, by the session's clock.
+  std::uint64_t latest = 0;
+
+  void note(std::uint64_t received) {
+    ++messages;
+    gap = std::max(gap, received - std::min(received, latest));
+    latest = std::max(latest, received);
+  }
+};
+
+/// A topic that is recorded, held or measured.
 struct RecordedTopic {
   std::string name;
   std::string type;
@@ -53,8 +73,10 @@ struct RecordedTopic {
   ByteBudget budget;
   /// What a subscription asks for.
   rmw_qos_profile_t request;
-  /// Null until the supervisor has given it a channel, and when it failed.
+  /// Null until the supervisor has given a channel to what is kept, and when it failed.
   std::unique_ptr<SerializedSubscription> subscription = nullptr;
+  /// Null when nothing of it is reported.
+  Measure* measure = nullptr;
   std::uint16_t channel = 0;
   /// Counts what is not recorded as well, so that a reader sees the gap.
   std::uint32_t sequence = 0;
@@ -85,9 +107,12 @@ class SessionClock {
                                       offset_);
   }
 
-  /// When a message was received, of which the middleware has the time by the system clock.
-  [[nodiscard]] std::uint64_t received(std::int64_t timestamp) const {
-    const auto ago = static_cast<std::int64_t>(system_now_ns()) - timestamp;
+  /// When a message was received, of which the middleware may have the time by the system clock.
+  [[nodiscard]] std::uint64_t received(const rmw_message_info_t& info) const {
+    if (info.received_timestamp <= 0) {
+      return now_ns();
+    }
+    const auto ago = static_cast<std::int64_t>(system_now_ns()) - info.received_timestamp;
     // Longer ago is a clock that was set in between.
     return now_ns() - static_cast<std::uint64_t>(std::clamp(ago, std::int64_t{0}, kLongestAgo));
   }

@@ -49,7 +49,13 @@ Recorder::Recorder(const Options& options)
       live_(Treatment::recorded, kLongestLive, spare_),
       held_(Treatment::held, kLongestHeld, spare_),
       scratch_(MemoryFile()),
-      survey_(node_, std::chrono::nanoseconds(options.answer_timeout)) {
+      survey_(node_, std::chrono::nanoseconds(options.answer_timeout)),
+      measured_(Clock::now()) {
+  for (const std::string& topic : options.measured) {
+    Measure& measure = measures_.emplace_back();
+    measure.topic = topic;
+    measure.latest = clock_.now_ns();
+  }
   if (asks_for_parameters(options)) {
     link_.post(Packet(Kind::channel)
                    .number(kParametersRequest)
@@ -70,6 +76,7 @@ bool Recorder::run() {
     }
     send();
     report_drops(now);
+    report_measures(now);
   }
   if (gone_) {
     return false;
@@ -143,6 +150,9 @@ std::int64_t Recorder::timeout() const {
   }
   if (has_drops_) {
     until = std::min(until, drops_reported_ + kBetweenReports);
+  }
+  if (!measures_.empty()) {
+    until = std::min(until, measured_ + kBetweenReports);
   }
   if (has_room()) {
     until = std::min(until, survey_.due(now));
@@ -237,7 +247,11 @@ void Recorder::follow_graph() {
   if (parameters_channel_ != 0) {
     survey_.follow_graph(looked_);
   }
+  for (Measure& measure : measures_) {
+    measure.publishers = measure.reliable = measure.latched = 0;
+  }
   for (const GraphTopic& found : node_.topics()) {
+    note_publishers(found);
     const Treatment wanted = treatment(options_, found.name);
     if (wanted == Treatment::none) {
       continue;
@@ -291,6 +305,13 @@ void Recorder::meet(const GraphTopic& found, Treatment wanted) {
   topics_.push_back(std::make_unique<RecordedTopic>(
       RecordedTopic{found.name, type, wanted, support, ByteBudget(budget_of(options_, found.name)),
                     request_for(offered)}));
+  RecordedTopic& topic = *topics_.back();
+  const auto measure = std::ranges::find(measures_, found.name, &Measure::topic);
+  topic.measure = measure == measures_.end() ? nullptr : &*measure;
+  if (wanted == Treatment::measured) {
+    subscribe(topic);
+    return;
+  }
   link_.post(Packet(Kind::channel)
                  .number(static_cast<std::uint32_t>(topics_.size()))
                  .text(found.name)
@@ -344,8 +365,9 @@ void Recorder::take_rest(Treatment treatment) {
 bool Recorder::take_some(RecordedTopic& topic) {
   for (std::size_t i = 0; topic.subscription && i < kAtOnce; ++i) {
     const bool is_full = topic.treatment == Treatment::recorded && !has_room();
+    const bool is_kept = topic.treatment != Treatment::measured && !is_full;
     try {
-      if (is_full ? !discard_one(topic) : !take_one(topic)) {
+      if (is_kept ? !take_one(topic) : !discard_one(topic)) {
         return false;
       }
     } catch (const std::exception& error) {
@@ -363,6 +385,10 @@ bool Recorder::take_one(RecordedTopic& topic) {
     return false;
   }
   ++topic.sequence;
+  const std::uint64_t received = clock_.received(info);
+  if (topic.measure != nullptr) {
+    topic.measure->note(received);
+  }
   const auto now = Clock::now();
   if (!topic.budget.spend(message.buffer_length, now.time_since_epoch().count())) {
     ++topic.over_budget;
@@ -372,8 +398,7 @@ bool Recorder::take_one(RecordedTopic& topic) {
   MessageHead head;
   head.channel = topic.channel;
   head.sequence = topic.sequence;
-  head.log_time =
-      info.received_timestamp > 0 ? clock_.received(info.received_timestamp) : clock_.now_ns();
+  head.log_time = received;
   // Those of several publishers are not given in the order in which they arrived.
   if (head.log_time < topic.log_time && topic.log_time - head.log_time < kLongestWaitNs) {
     head.log_time = topic.log_time;
@@ -390,6 +415,12 @@ bool Recorder::discard_one(RecordedTopic& topic) {
   rmw_message_info_t info = rmw_get_zero_initialized_message_info();
   if (!topic.subscription->take(message, info)) {
     return false;
+  }
+  if (topic.measure != nullptr) {
+    topic.measure->note(clock_.received(info));
+  }
+  if (topic.treatment == Treatment::measured) {
+    return true;
   }
   ++topic.sequence;
   ++topic.without_room;
@@ -439,6 +470,41 @@ void Recorder::report_drops(Clock::time_point now) {
     } else {
       has_drops_ = true;
     }
+  }
+}
+
+void Recorder::note_publishers(const GraphTopic& found) {
+  const auto measure = std::ranges::find(measures_, found.name, &Measure::topic);
+  if (measure == measures_.end()) {
+    return;
+  }
+  const auto offered = node_.offered(found.name);
+  measure->types = found.types_in_words();
+  measure->publishers = static_cast<std::uint32_t>(offered.size());
+  measure->reliable = static_cast<std::uint32_t>(std::ranges::count_if(offered, is_reliable));
+  measure->latched = static_cast<std::uint32_t>(std::ranges::count_if(offered, is_latched));
+}
+
+void Recorder::report_measures(Clock::time_point now) {
+  if (measures_.empty() || now < measured_ + kBetweenReports) {
+    return;
+  }
+  const auto since = static_cast<std::uint64_t>(nanoseconds(now - measured_).count());
+  measured_ = now;
+  const std::uint64_t until = clock_.now_ns();
+  for (Measure& measure : measures_) {
+    const std::uint64_t silent = until - std::min(until, measure.latest);
+    // Without room it is lost, and the next one is as good.
+    link_.send(Packet(Kind::measured)
+                   .text(measure.topic)
+                   .text(measure.types)
+                   .number(measure.publishers)
+                   .number(measure.reliable)
+                   .number(measure.latched)
+                   .number(measure.messages)
+                   .number(std::max(measure.gap, silent))
+                   .number(since));
+    measure.messages = measure.gap = 0;
   }
 }
 

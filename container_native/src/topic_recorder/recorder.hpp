@@ -55,6 +55,8 @@ class Recorder {
   void append(OpenChunk& open, const MessageHead& head, std::size_t size);
   void finish(OpenChunk& open);
   void report_drops(Clock::time_point now);
+  void note_publishers(const GraphTopic& found);
+  void report_measures(Clock::time_point now);
 
   const Options options_;
   SessionClock clock_;
@@ -75,6 +77,8 @@ class Recorder {
   std::uint32_t parameters_sequence_ = 0;
   /// By the number of their request for a channel, from 1 on.
   std::vector<std::unique_ptr<RecordedTopic>> topics_;
+  std::vector<Measure> measures_;
+  Clock::time_point measured_;
   /// Topics that were complained of.
   std::set<std::string> warned_;
   bool graph_changed_ = true;

@@ -43,13 +43,18 @@ std::uint64_t budget_of(const Options& options, const std::string& topic) {
 }
 
 Treatment treatment(const Options& options, const std::string& topic) {
-  if (topic.starts_with("/play_launch/") || any_matches(options.excluded, topic)) {
+  if (topic.starts_with("/play_launch/")) {
     return Treatment::none;
   }
-  if (any_matches(options.topics, topic)) {
-    return Treatment::recorded;
+  if (!any_matches(options.excluded, topic)) {
+    if (any_matches(options.topics, topic)) {
+      return Treatment::recorded;
+    }
+    if (any_matches(options.held, topic)) {
+      return Treatment::held;
+    }
   }
-  return any_matches(options.held, topic) ? Treatment::held : Treatment::none;
+  return std::ranges::count(options.measured, topic) ? Treatment::measured : Treatment::none;
 }
 
 namespace {
@@ -57,14 +62,6 @@ namespace {
 /// Messages that wait in the middleware until our thread gets a processor: a second of a topic at
 /// 1 kHz. It takes them all the time, also those that there is no room for; so few wait.
 constexpr std::size_t kDepth = 1000;
-
-bool is_reliable(const rmw_qos_profile_t& profile) {
-  return profile.reliability == RMW_QOS_POLICY_RELIABILITY_RELIABLE;
-}
-
-bool is_latched(const rmw_qos_profile_t& profile) {
-  return profile.durability == RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL;
-}
 
 std::string seconds(const rmw_time_t& time) {
   return "{sec: " + std::to_string(time.sec) + ", nsec: " + std::to_string(time.nsec) + "}";
@@ -84,6 +81,14 @@ std::string as_yaml(const rmw_qos_profile_t& profile) {
 }
 
 }  // namespace
+
+bool is_reliable(const rmw_qos_profile_t& profile) {
+  return profile.reliability == RMW_QOS_POLICY_RELIABILITY_RELIABLE;
+}
+
+bool is_latched(const rmw_qos_profile_t& profile) {
+  return profile.durability == RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL;
+}
 
 rmw_qos_profile_t request_for(const std::vector<rmw_qos_profile_t>& offered) {
   rmw_qos_profile_t request = rmw_qos_profile_default;
@@ -151,6 +156,8 @@ Options parse_options(int argc, const char* const* argv) {
       options.excluded.emplace_back(value);
     } else if (option == "--held") {
       options.held.emplace_back(value);
+    } else if (option == "--measure") {
+      options.measured.emplace_back(value);
     } else if (option == "--budget") {
       options.budget = number<std::uint64_t>(option, value);
     } else if (option == "--topic-budget") {

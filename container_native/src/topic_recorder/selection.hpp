@@ -19,6 +19,8 @@ struct Options {
   std::vector<std::string> excluded;
   /// Those that are kept in memory until they are asked for.
   std::vector<std::string> held;
+  /// Names of topics of which is reported what comes.
+  std::vector<std::string> measured;
   /// Bytes per second that may be recorded of each topic; 0 for any number.
   std::uint64_t budget = 0;
   /// Such numbers for some topics, by name or pattern; the first that matches holds.
@@ -43,6 +45,8 @@ enum class Treatment {
   recorded,
   /// Kept in memory until it is asked for.
   held,
+  /// Counted only.
+  measured,
 };
 
 /// Whether a name fits a pattern: `*` stands for any text, slashes included, `?` for one character.
@@ -62,8 +66,15 @@ constexpr const char* kParametersTopic = "/play_launch/parameters";
 bool asks_for_parameters(const Options& options);
 
 /// What is both asked for as it comes and to be held is recorded as it comes. Never topics below
-/// /play_launch: those are the supervisor's own, played back from a recording.
+/// /play_launch: those are the supervisor's own, played back from a recording. What is recorded or
+/// held can be measured as well.
 Treatment treatment(const Options& options, const std::string& topic);
+
+/// Whether every message is delivered, by what a publisher offers.
+bool is_reliable(const rmw_qos_profile_t& profile);
+
+/// Whether late subscriptions get earlier messages, by what a publisher offers.
+bool is_latched(const rmw_qos_profile_t& profile);
 
 /// What to ask for so that every one of these publishers is heard: reliable and transient_local
 /// only where all of them are, as rosbag2 does. `offered` is not empty.

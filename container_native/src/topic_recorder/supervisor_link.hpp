@@ -27,6 +27,9 @@ namespace play_launch::topics {
 ///   warning  text
 ///   snapshot number u32, messages u64, bytes u64, nanoseconds that they span u64: it was handed
 ///            over
+///   measured topic, types, publishers u32, reliable ones u32, latched ones u32, messages u64,
+///            largest nanoseconds between two of them or since the last u64, nanoseconds u64: since
+///            the last one
 /// From the supervisor:
 ///   answer   request u32, channel u16, or 0 without one
 ///   done     slot u32: its file is not needed any more
@@ -38,6 +41,7 @@ enum class Kind : std::uint32_t {
   drops = 3,
   warning = 4,
   snapshot = 5,
+  measured = 6,
   answer = 17,
   done = 18,
   take = 19,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, StateSetMetricFamily
 from prometheus_client.openmetrics.exposition import CONTENT_TYPE_LATEST, generate_latest
@@ -46,9 +46,12 @@ _STATES: Final = {
 class _Rows:
     """What Prometheus' client collects."""
 
-    def __init__(self, session: str, rows: Sequence[UnitRow]) -> None:
+    def __init__(
+        self, session: str, rows: Sequence[UnitRow], expected: Sequence[dict[str, Any]]
+    ) -> None:
         self._session = session
         self._rows = rows
+        self._expected = expected
 
     def collect(self) -> Iterator[Metric]:
         session = GaugeMetricFamily(
@@ -74,15 +77,36 @@ class _Rows:
                 if (value := figure(row)) is not None:
                     gauge.add_metric(_labels(row), value)
             yield gauge
+        yield from self._topics()
+
+    def _topics(self) -> Iterator[Metric]:
+        labels = ("topic", "machine")
+        met = GaugeMetricFamily(
+            "play_launch_topic_as_expected", "Whether a topic is as expected.", labels=labels
+        )
+        rate = GaugeMetricFamily(
+            "play_launch_topic_rate_hertz", "Messages per second of a topic.", labels=labels
+        )
+        breaks = CounterMetricFamily(
+            "play_launch_topic_breaks", "How often a topic was not as expected.", labels=labels
+        )
+        for row in self._expected:
+            values = (row["topic"], row.get("machine", ""))
+            breaks.add_metric(values, row["breaks"])
+            if row["is_met"] is not None:
+                met.add_metric(values, float(row["is_met"]))
+            if row["rate"] is not None:
+                rate.add_metric(values, row["rate"])
+        yield from (met, rate, breaks)
 
 
 def _labels(row: UnitRow) -> tuple[str, str, str]:
     return str(target_of(row)), row.kind, row.machine or ""
 
 
-def exposition(session: str, rows: Sequence[UnitRow]) -> bytes:
+def exposition(session: str, rows: Sequence[UnitRow], expected: Sequence[dict[str, Any]]) -> bytes:
     """Return the text of a scrape; without a session its name is empty."""
     registry = CollectorRegistry(auto_describe=False)
-    registry.register(_Rows(session, rows))
+    registry.register(_Rows(session, rows, expected))
     text: bytes = generate_latest(registry)  # type: ignore[no-untyped-call]
     return text

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from fastapi import Request  # noqa: TC002 - FastAPI reads the annotation of the page's function
 from nicegui import ui
 
+from play_launch.cli import expect
 from play_launch.cli.output import clock, duration, size
 from play_launch.cli.status import fields
 from play_launch.cli.top import model
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 _REFRESH: Final = 0.5
 """Seconds between two looks for changes."""
+_ASK: Final = 2.0
+"""Seconds between two looks at topics, while they are shown."""
 _MOST_ROWS: Final = 500
 _MOST_LINES: Final = 300
 """Lines of a log on the page."""
@@ -128,6 +131,9 @@ class _Page:
         self._table.on("open", self._open)
         with ui.expansion("Connections", on_value_change=self._check).classes("w-full") as found:
             self._connections = found
+        with ui.expansion("Topics", on_value_change=self._show_topics).classes("w-full"):
+            self._topics = ui.grid(columns="auto auto auto 1fr").classes("gap-x-4")
+        self._asking = ui.timer(_ASK, self._draw_topics, active=False)
         ui.label("Log").classes("text-h6")
         self._log = _Log(watch)
         ui.timer(_REFRESH, self._refresh)
@@ -191,6 +197,22 @@ class _Page:
             for name, text in found or [("", "everything connects")]:
                 ui.label(model.clean(name)).classes("text-weight-bold")
                 ui.label(model.clean(text)).style("overflow-wrap: anywhere")
+
+    async def _show_topics(self, event: ValueChangeEventArguments[bool]) -> None:
+        self._asking.active = event.value
+        if event.value:
+            await self._draw_topics()
+
+    async def _draw_topics(self) -> None:
+        try:
+            rows = [expect.cells(row) for row in await self._watch.expectations()]
+        except OperationError as error:
+            rows = [(str(error), "", "", "")]
+        self._topics.clear()
+        with self._topics:
+            for row in rows or [("nothing is expected of topics", "", "", "")]:
+                for text in (*row[:3], row[-1]):
+                    ui.label(model.clean(text)).style("overflow-wrap: anywhere")
 
     async def _open(self, event: GenericEventArguments) -> None:
         row = next((row for row in self._watch.rows if str(target_of(row)) == event.args), None)

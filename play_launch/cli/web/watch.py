@@ -152,18 +152,32 @@ class Watch:
         found: dict[str, Any] = rows[0]
         return found
 
-    async def scrape(self) -> tuple[str, list[UnitRow]]:
-        """Return the name of the session and its rows now; an empty name without a session."""
+    async def expectations(self) -> list[dict[str, Any]]:
+        """Ask what is known of topics of which something is expected; raises OperationError."""
+        folder = self.folder
 
-        def ask() -> tuple[str, list[UnitRow]]:
+        def ask() -> list[dict[str, Any]]:
+            with connect(folder) as client:
+                found: list[dict[str, Any]] = client.ask("expectations")
+                return found
+
+        try:
+            return await asyncio.to_thread(ask)
+        except (NoSessionError, OSError) as error:
+            raise OperationError(Code.INTERNAL, str(error)) from None
+
+    async def scrape(self) -> tuple[str, list[UnitRow], list[dict[str, Any]]]:
+        """Return the session's name, its rows and its topics now; all empty without a session."""
+
+        def ask() -> tuple[str, list[UnitRow], list[dict[str, Any]]]:
             with connect(self._session) as client:
                 rows = msgspec.convert(client.ask("ps"), list[UnitRow], strict=False)
-                return client.hello.name, rows
+                return client.hello.name, rows, client.ask("expectations")
 
         try:
             return await asyncio.to_thread(ask)
         except (NoSessionError, OperationError, OSError):
-            return "", []
+            return "", [], []
 
     def carry_out(self, confirmed: Confirmation, answer: Callable[[str], None]) -> None:
         """Request an operation; ``answer`` gets the reason of a refusal, or an empty text."""

@@ -22,13 +22,13 @@ from play_launch.config.text import similar
 from play_launch.config.values import NEVER
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
     from play_launch.config.model import ContainerConfig, ProcessConfig
     from play_launch.config.schema import ComposableNodeSection, ProcessSection
     from play_launch.config.tree import Cursor
 
-_SUBJECTS: Final = ("name", "node", "topic", "service", "file")
+_SUBJECTS: Final = ("name", "node", "topic", "service", "file", "expect")
 
 
 class StartRules:
@@ -74,7 +74,10 @@ class StartRules:
         return awaited | self._managed
 
     def resolved(
-        self, containers: Iterable[ContainerConfig], processes: Iterable[ProcessConfig]
+        self,
+        containers: Iterable[ContainerConfig],
+        processes: Iterable[ProcessConfig],
+        expected: Collection[str],
     ) -> dict[str, StartRule]:
         """Return the rules by member or node; unknown names and cycles are reported."""
         units = _Units(containers, processes, self._is_declared)
@@ -83,7 +86,7 @@ class StartRules:
         for unit, at, delay in self._declared:
             dependencies = []
             for item in items_of(at, "dependencies"):
-                dependency = _dependency(item, units)
+                dependency = _dependency(item, units, expected)
                 if dependency is not None:
                     dependencies.append(dependency)
                     locations.setdefault((unit, dependency.unit), item)
@@ -94,7 +97,7 @@ class StartRules:
         return rules
 
 
-def _dependency(at: Cursor, units: _Units) -> Dependency | None:
+def _dependency(at: Cursor, units: _Units, expected: Collection[str]) -> Dependency | None:
     if at.string is not None:
         section = DependencySection({"name": at.string})
     else:
@@ -124,6 +127,8 @@ def _dependency(at: Cursor, units: _Units) -> Dependency | None:
             subject = os.fspath(path_from(at.at_key("file"), section.file))
         else:
             subject = f"/{getattr(section, given[0]).removeprefix('/')}"
+        if condition is Condition.EXPECT and subject not in expected:
+            at.at_key("expect").problem(f"nothing is expected of {subject}; add it to expect")
     return Dependency(
         condition=condition,
         unit=unit,

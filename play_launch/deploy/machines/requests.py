@@ -41,6 +41,7 @@ _EVENTS: Final = 5000
 """Events of all machines that are kept for clients."""
 _QUEUE: Final = 5000
 _ACTIONS: Final = frozenset((*MEMBER_ACTIONS, *NODE_ACTIONS, "signal", "wait"))
+_OTHERS: Final = ("apply", "environment", "events", "expectations", "snapshot")
 _LISTS: Final = frozenset(("ps", "status", "parameters"))
 _NOTICED: Final = 0.5
 """Seconds in which the loss of a machine is noticed, until it is asked again."""
@@ -90,9 +91,13 @@ class Requests:
                     await self.result(part, "snapshot", {}, caller) for part in self._reachable()
                 ]
                 return {key: sum(each[key] for each in found) for key in found[0]} if found else {}
-        known = ", ".join(
-            sorted((*_LISTS, *_ACTIONS, "apply", "environment", "events", "snapshot"))
-        )
+            case "expectations":
+                return [
+                    {**row, "machine": part.name}
+                    for part in self._reachable()
+                    for row in await self.result(part, "expectations", {}, caller)
+                ]
+        known = ", ".join(sorted((*_LISTS, *_ACTIONS, *_OTHERS)))
         text = f"unknown operation {request.op!r:.80}; there are: {known}"
         raise OperationError(Code.UNKNOWN_OPERATION, text)
 

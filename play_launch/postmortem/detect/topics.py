@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.config.text import duration, listed
 from play_launch.postmortem.findings import DeclaredPlace, Finding
+from play_launch.postmortem.units import Downtime
 from play_launch.supervisor.endpoints import similar_topic
 
 if TYPE_CHECKING:
@@ -41,6 +42,26 @@ def detect(timeline: Timeline) -> Iterator[Finding]:
     yield from _reported(timeline, by_topic.keys())
     yield from _disconnected(timeline)
     yield from _unpublished(timeline)
+    yield from _unexpected(timeline)
+
+
+def _unexpected(timeline: Timeline) -> Iterator[Finding]:
+    """Report topics that were not as the configuration expects."""
+    for topic, changes in timeline.expectations.items():
+        ends = [*(each.stamp_ns for each in changes[1:]), None]
+        broken = [(each, end) for each, end in zip(changes, ends, strict=True) if not each.is_met]
+        if broken:
+            yield Finding(
+                kind="not_as_expected",
+                rank=3,
+                says="was not as expected {when}",
+                name=topic,
+                times_ns=tuple(each.stamp_ns for each, _ in broken),
+                cause=broken[0][0].reason,
+                away=tuple(
+                    Downtime(topic, end - each.stamp_ns if end else None) for each, end in broken
+                ),
+            )
 
 
 def _mismatched(topic: str, mismatches: dict[Mismatch, int]) -> Finding:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from msgspec import Struct
 
 from play_launch.recording.chunk import ChannelPart, TopicChunk
+from play_launch.supervisor.expectations import Measured
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,6 +33,7 @@ _CHUNK: Final = struct.Struct("<IQQQQQI")
 _PART: Final = struct.Struct("<HIQ")
 _DROPS: Final = struct.Struct("<QQ")
 _SNAPSHOT: Final = struct.Struct("<IQQQ")
+_MEASURED: Final = struct.Struct("<IIIQQQ")
 
 
 class Kind(IntEnum):
@@ -42,6 +44,7 @@ class Kind(IntEnum):
     DROPS = 3
     WARNING = 4
     SNAPSHOT = 5
+    MEASURED = 6
     ANSWER = 17
     DONE = 18
     TAKE = 19
@@ -88,7 +91,7 @@ class SnapshotSent(Struct, frozen=True):
     span_ns: int
 
 
-Packet: TypeAlias = ChannelWanted | ChunkMade | TopicDrops | Warned | SnapshotSent
+Packet: TypeAlias = ChannelWanted | ChunkMade | TopicDrops | Warned | SnapshotSent | Measured
 
 
 class PacketError(ValueError):
@@ -129,6 +132,10 @@ def _decode(data: memoryview, descriptor: int) -> Packet:
             return Warned(*_texts(rest, 1))
         case Kind.SNAPSHOT:
             return SnapshotSent(*_SNAPSHOT.unpack(rest))
+        case Kind.MEASURED:
+            numbers = _MEASURED.unpack(rest[len(rest) - _MEASURED.size :])
+            topic, types = _texts(rest, 2)
+            return Measured(topic, types, *numbers)
         case _:
             raise ValueError(f"{kind.name} goes the other way")
 

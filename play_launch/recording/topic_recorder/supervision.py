@@ -10,6 +10,7 @@ import math
 import os
 import random
 import socket
+import time
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -28,17 +29,19 @@ from play_launch.recording.topic_recorder import SnapshotError, WrittenBuffer
 from play_launch.recording.topic_recorder import link as wire
 from play_launch.ros.fastdds.middleware import asks_for_fastdds
 from play_launch.ros.fastdds.shared_memory import sweep_shared_memory
+from play_launch.supervisor.expectations import Measured
 from play_launch.supervisor.outcome import RestartHistory, decide
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from play_launch.config.model import RecordConfig, ReplayConfig
+    from play_launch.config.model import ReplayConfig
     from play_launch.process.child import Child
     from play_launch.process.lines import Line
     from play_launch.recording.recorder import Recorder
-    from play_launch.supervisor.events import Stream
+    from play_launch.supervisor.events import RunEvent, Stream
+    from play_launch.supervisor.expectations import Expectations
 
 
 _RESTARTS: Final = RestartLimits(max_restarts=3, within=60.0, initial=0.5, maximum=8.0)
@@ -55,8 +58,16 @@ class TopicRecording:
     Belongs to the thread of the event loop.
     """
 
-    def __init__(self, config: ReplayConfig, recorder: Recorder) -> None:
+    def __init__(
+        self,
+        config: ReplayConfig,
+        recorder: Recorder,
+        expectations: Expectations,
+        publish: Callable[[RunEvent], None],
+    ) -> None:
         self._config = config
+        self._expectations = expectations
+        self._publish = publish
         self._recorder = recorder
         self._program: Path | None = None
         self._guard: SessionGuard | None = None
@@ -125,7 +136,7 @@ class TopicRecording:
         with theirs:
             try:
                 child = await spawn(
-                    recorder_argv(self._program, self._config.record, INHERITED, offset_ns),
+                    recorder_argv(self._program, self._config, INHERITED, offset_ns),
                     env=self._environment,
                     guard=self._guard,
                     descriptors={INHERITED: theirs.fileno()},
@@ -177,6 +188,7 @@ class TopicRecording:
         # What it has sent is still in the socket.
         await self._link.ended()
         self._link = None
+        self._expectations.interrupt()
         # Before the next one: publishers must have given up the ports that it takes over.
         await self._sweep()
         return f"topic_recorder {ended}"
@@ -212,6 +224,9 @@ class TopicRecording:
                 self._count(packet)
             case wire.Warned():
                 _log.warning("%s", packet.text)
+            case Measured():
+                for event in self._expectations.take(packet, time.time_ns()):
+                    self._publish(event)
             case wire.SnapshotSent():
                 self._recorder.after_these(partial(self._when_written, packet))
 
@@ -236,10 +251,15 @@ class TopicRecording:
 
 
 def recorder_argv(
-    program: Path, record: RecordConfig, descriptor: int | str, clock_offset: int | str
+    program: Path, config: ReplayConfig, descriptor: int | str, clock_offset: int | str
 ) -> tuple[str, ...]:
     """Make the command line, with the socket's descriptor and the offset of the session's clock."""
+    record = config.record
+    measured = [part for topic in config.expect for part in ("--measure", topic)]
     argv = [os.fspath(program), "--socket", str(descriptor), "--clock-offset", str(clock_offset)]
+    argv += measured
+    if not record.ros:
+        return (*argv, "--exclude", "*")
     for option, patterns in (("--topic", record.topics), ("--exclude", record.exclude)):
         argv += [part for pattern in patterns for part in (option, pattern)]
     if record.budget is not None:

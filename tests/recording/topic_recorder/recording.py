@@ -22,6 +22,7 @@ from play_launch.recording.limits import RecordingSummary
 from play_launch.recording.recorder import Recorder
 from play_launch.recording.topic_recorder.supervision import TopicRecording
 from play_launch.recording.topics import message_definition
+from play_launch.supervisor.expectations import Expectations
 
 _PTRACE_SEIZE, _PTRACE_INTERRUPT, _PTRACE_DETACH = 0x4206, 0x4207, 17
 _WALL = 0x40000000
@@ -72,7 +73,7 @@ class Recording:
 
     def __init__(self, recorder: CountingRecorder, config: ReplayConfig) -> None:
         self.recorder = recorder
-        self.topics = TopicRecording(config, recorder)
+        self.topics = TopicRecording(config, recorder, Expectations({}), lambda _event: None)
         self.summary: RecordingSummary | None = None
 
     @property

@@ -343,7 +343,7 @@ async def test_an_installation_without_the_program(
 )
 async def test_its_command_line(record: str, arguments: str) -> None:
     config = await asyncio.to_thread(configuration, record)
-    argv = supervision.recorder_argv(Path("/bin/topic_recorder"), config.record, 7, -5)
+    argv = supervision.recorder_argv(Path("/bin/topic_recorder"), config, 7, -5)
     defaults = ["--topic", "/rosout", "--topic", "/diagnostics", "--topic", "/parameter_events"]
     assert argv[:5] == ("/bin/topic_recorder", "--socket", "7", "--clock-offset", "-5")
     assert argv[5:] == (*defaults, *arguments.split())
