@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from play_launch.runtime.signals import StopRequests
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import RunEvent
-    from play_launch.supervisor.expectations import Expectations
+    from play_launch.supervisor.expectations import Expectations, Measured
     from play_launch.supervisor.view import SystemView
 
 _log = logging.getLogger(__name__)
@@ -133,8 +133,7 @@ class Background(Struct):
         await self._system_is_up()
         from play_launch.recording.topic_recorder.supervision import TopicRecording  # noqa: PLC0415
 
-        publish = self.publisher.publish
-        recording = TopicRecording(self.config, self.session.recorder, self.expectations, publish)
+        recording = TopicRecording(self.config, self.session.recorder, self._judge)
         if self.config.record.before_crash is None:
             await recording.run()
             return
@@ -147,6 +146,12 @@ class Background(Struct):
                     await recording.run()
                 finally:
                     watching.cancel()
+
+    def _judge(self, measured: Measured) -> None:
+        """Publish what follows for a topic; not when publishers end because all is stopped."""
+        if not self.stop.requested.is_set():
+            for event in self.expectations.take(measured, self.publisher.stamp_ns()):
+                self.publisher.publish(event)
 
     async def _serve_control(self) -> None:
         operated = await self.system

@@ -46,7 +46,9 @@ def demo(  # noqa: PLR0917 - options, by name
     web: Annotated[
         bool,
         typer.Option(
-            "--web", help="With a node that crashes again and again, and a page for a browser."
+            "--web",
+            help="With a page for a browser, a node that crashes again and again, two nodes that "
+            "do not connect, and a topic that is too slow.",
         ),
     ] = False,
 ) -> int:
@@ -105,7 +107,10 @@ def _write(path: Path, config: dict[str, Any]) -> None:
 
 
 def _with_page() -> dict[str, Any]:
-    """Return the demo's configuration with a page, and a node that crashes."""
+    """Return the demo's configuration with a page, and what it finds.
+
+    A node crashes, the QoS of two others does not match, and a topic is too slow.
+    """
     from play_launch.cli.web import require_nicegui  # noqa: PLC0415
 
     require_nicegui()
@@ -118,11 +123,31 @@ def _with_page() -> dict[str, Any]:
         "parameters": {"how": "segv", "after": 2.0},
         "restart": {"max_restarts": 100, "backoff": {"initial": "1 s", "maximum": "5 s"}},
     }
-    lab = {"name": "lab", "container_type": "isolated", "composable_nodes": [unlucky]}
-    config["containers"].append(lab)
+    # Its listener requests reliable, and hears nothing.
+    whisper = _talking("Talker", "whisper", "gossip", {"best_effort": True, "rate": 1.0})
+    eager = _talking("Listener", "eager_listener", "gossip", {})
+    tired = _talking("Talker", "tired", "heartbeat", {"rate": 2.0})
+    lab = [unlucky, whisper, eager, tired]
+    config["containers"].append(
+        {"name": "lab", "container_type": "isolated", "composable_nodes": lab}
+    )
+    config["expect"] = {
+        "/chatter": {"min_rate": "8 Hz", "max_gap": "500 ms", "publishers": 1},
+        "/heartbeat": {"min_rate": "5 Hz"},
+    }
     page = [_program(), "web", "--session", "demo-web", "--allow-control"]
     config["nodes"] = [{"name": "page", "command": page}]
     return config
+
+
+def _talking(plugin: str, name: str, topic: str, parameters: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "package": "play_launch_demo",
+        "plugin": f"play_launch_demo::{plugin}",
+        "name": name,
+        "remappings": {"chatter": topic},
+        "parameters": parameters,
+    }
 
 
 def _spread(machines: int, seconds: float) -> dict[str, Any]:

@@ -80,11 +80,6 @@ class Expectations:
         if topic is not None and topic.take(measured):
             yield _event(topic.state, stamp_ns)
 
-    def interrupt(self) -> None:
-        """Start measuring anew, as what measures was started anew; no state changes by that."""
-        for topic in self._topics.values():
-            topic.interrupt()
-
 
 def _event(state: TopicState, stamp_ns: int) -> ExpectationChanged:
     return ExpectationChanged(
@@ -98,15 +93,13 @@ class _Topic:
         self._window: deque[Measured] = deque()
         self._seconds = 0.0
         """Since the first measurement."""
+        self._judged: bool | None = None
         self._agreeing = 0
+        """Equal judgements in a row."""
         self.state = TopicState(expected.topic)
         least = _MESSAGES / expected.min_rate if expected.min_rate else 0.0
         gap = expected.max_gap if math.isfinite(expected.max_gap) else 0.0
         self._span_ns = max(_SPAN, least, gap) * 1e9
-
-    def interrupt(self) -> None:
-        self._window.clear()
-        self._agreeing = 0
 
     def take(self, measured: Measured) -> bool:
         """Take a measurement; whether the state has changed."""
@@ -121,8 +114,10 @@ class _Topic:
         was = self.state
         problems = "; ".join(differences(self._expected, measured, rate, gap, whole=is_full))
         is_met = not problems
-        self._agreeing = self._agreeing + 1 if is_met is not was.is_met else 0
-        changes = self._agreeing >= _AGREE[is_met] and (is_full if is_met else self._is_due)
+        self._agreeing = self._agreeing + 1 if is_met is self._judged else 1
+        self._judged = is_met
+        is_sure = self._agreeing >= _AGREE[is_met] and (is_full if is_met else self._is_due)
+        changes = is_sure and is_met is not was.is_met
         self.state = TopicState(
             topic=was.topic,
             is_met=is_met if changes else was.is_met,
@@ -133,8 +128,6 @@ class _Topic:
             max_gap=gap,
             breaks=was.breaks + (changes and not is_met),
         )
-        if changes:
-            self._agreeing = 0
         return changes
 
     @property

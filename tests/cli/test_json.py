@@ -65,6 +65,7 @@ ASKED = {
     "param set": ["talker", "rate", "11.0"],
     "param dump": ["talker"],
     "snapshot": [],
+    "expect": [],
 }
 
 

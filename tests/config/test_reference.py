@@ -26,7 +26,7 @@ from play_launch.config.model import (
 )
 from play_launch.config.problems import ConfigError
 from play_launch.config.section import ConfigSection
-from play_launch.config.sections import DependencySection
+from play_launch.config.sections import DependencySection, ExpectationSection
 from play_launch.config.values import (
     parse_duration,
     parse_size,
@@ -60,6 +60,7 @@ SECTIONS: dict[str, type[ConfigSection]] = {
     "composable_nodes": schema.ComposableNodeSection,
     "nodes": schema.ProcessSection,
     "depends_on": DependencySection,
+    "expect": ExpectationSection,
 }
 
 

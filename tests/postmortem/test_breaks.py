@@ -179,6 +179,12 @@ BREAKS: Final = {
         "*changes[:-1], None",
         test_detect.test_machines_that_were_lost,
     ),
+    "not_as_expected": Break(
+        topics._unexpected,
+        "changes[1:]",
+        "changes[:-1]",
+        test_detect.test_topics_that_were_not_as_expected,
+    ),
     "pids_max": Break(
         resources._limited,
         "if group.refused_times",

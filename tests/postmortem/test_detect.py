@@ -10,6 +10,7 @@ from play_launch.cli.explain import details, headline
 from play_launch.postmortem.units import Downtime
 from play_launch.supervisor.events import (
     ContainerState,
+    ExpectationChanged,
     MachineChanged,
     MachineState,
     NodeState,
@@ -77,6 +78,26 @@ def test_machines_that_were_lost(tmp_path: Path) -> None:
     )
     assert lost.away == (Downtime("h2", 2 * SECOND), Downtime("h2", None))
     assert text_of(failed)[0] == "machine h3 could not be used at 7.000 s after the start."
+
+
+def test_topics_that_were_not_as_expected(tmp_path: Path) -> None:
+    scene = Scene()
+    for at, topic, reason in (
+        (1, "/scan", ""),
+        (2, "/scan", "3 Hz, expected at least 8 Hz"),
+        (5, "/scan", ""),
+        (6, "/map", ""),
+        (7, "/scan", "no publisher"),
+    ):
+        scene.events.append(
+            ExpectationChanged(stamp_ns=ns(at), topic=topic, is_met=not reason, reason=reason)
+        )
+    (found,) = scene.story(tmp_path).findings
+    assert text_of(found) == (
+        "/scan was not as expected 2 times, first at 2.000 s after the start.",
+        "Cause: 3 Hz, expected at least 8 Hz.",
+    )
+    assert found.away == (Downtime("/scan", 3 * SECOND), Downtime("/scan", None))
 
 
 def test_errors_in_diagnostics_and_silence(tmp_path: Path) -> None:

@@ -50,12 +50,7 @@ Recorder::Recorder(const Options& options)
       held_(Treatment::held, kLongestHeld, spare_),
       scratch_(MemoryFile()),
       survey_(node_, std::chrono::nanoseconds(options.answer_timeout)),
-      measured_(Clock::now()) {
-  for (const std::string& topic : options.measured) {
-    Measure& measure = measures_.emplace_back();
-    measure.topic = topic;
-    measure.latest = clock_.now_ns();
-  }
+      measures_(options_, clock_, link_) {
   if (asks_for_parameters(options)) {
     link_.post(Packet(Kind::channel)
                    .number(kParametersRequest)
@@ -76,7 +71,10 @@ bool Recorder::run() {
     }
     send();
     report_drops(now);
-    report_measures(now);
+    if (now >= measures_.due()) {
+      take_rest(Treatment::measured);
+      measures_.report(now);
+    }
   }
   if (gone_) {
     return false;
@@ -114,7 +112,7 @@ void Recorder::send() {
 void Recorder::wait() {
   std::vector<RecordedTopic*> waited;
   for (const auto& topic : topics_) {
-    if (topic->subscription) {
+    if (topic->subscription && topic->treatment != Treatment::measured) {
       waited.push_back(topic.get());
     }
   }
@@ -140,7 +138,7 @@ void Recorder::wait() {
 }
 
 std::int64_t Recorder::timeout() const {
-  auto until = std::min(live_.due(), held_.due());
+  auto until = std::min({live_.due(), held_.due(), measures_.due()});
   const auto now = Clock::now();
   if (graph_changed_) {
     until = std::min(until, looked_ + kBetweenLooks);
@@ -150,9 +148,6 @@ std::int64_t Recorder::timeout() const {
   }
   if (has_drops_) {
     until = std::min(until, drops_reported_ + kBetweenReports);
-  }
-  if (!measures_.empty()) {
-    until = std::min(until, measured_ + kBetweenReports);
   }
   if (has_room()) {
     until = std::min(until, survey_.due(now));
@@ -247,11 +242,9 @@ void Recorder::follow_graph() {
   if (parameters_channel_ != 0) {
     survey_.follow_graph(looked_);
   }
-  for (Measure& measure : measures_) {
-    measure.publishers = measure.reliable = measure.latched = 0;
-  }
+  measures_.forget_publishers();
   for (const GraphTopic& found : node_.topics()) {
-    note_publishers(found);
+    measures_.note(found, node_);
     const Treatment wanted = treatment(options_, found.name);
     if (wanted == Treatment::none) {
       continue;
@@ -304,12 +297,9 @@ void Recorder::meet(const GraphTopic& found, Treatment wanted) {
   }
   topics_.push_back(std::make_unique<RecordedTopic>(
       RecordedTopic{found.name, type, wanted, support, ByteBudget(budget_of(options_, found.name)),
-                    request_for(offered)}));
-  RecordedTopic& topic = *topics_.back();
-  const auto measure = std::ranges::find(measures_, found.name, &Measure::topic);
-  topic.measure = measure == measures_.end() ? nullptr : &*measure;
+                    request_for(offered, wanted), nullptr, measures_.find(found.name)}));
   if (wanted == Treatment::measured) {
-    subscribe(topic);
+    subscribe(*topics_.back());
     return;
   }
   link_.post(Packet(Kind::channel)
@@ -332,7 +322,7 @@ void Recorder::reconsider(RecordedTopic& topic, const GraphTopic& found) {
   if (offered.empty()) {
     return;
   }
-  const rmw_qos_profile_t wanted = request_for(offered);
+  const rmw_qos_profile_t wanted = request_for(offered, topic.treatment);
   if (asks_too_much(topic.subscription->qos(), wanted)) {
     take_rest(topic.treatment);
     topic.request = wanted;
@@ -364,12 +354,8 @@ void Recorder::take_rest(Treatment treatment) {
 
 bool Recorder::take_some(RecordedTopic& topic) {
   for (std::size_t i = 0; topic.subscription && i < kAtOnce; ++i) {
-    const bool is_full = topic.treatment == Treatment::recorded && !has_room();
-    const bool is_kept = topic.treatment != Treatment::measured && !is_full;
     try {
-      if (is_kept ? !take_one(topic) : !discard_one(topic)) {
-        return false;
-      }
+      if (!take_one(topic)) return false;
     } catch (const std::exception& error) {
       unsubscribe(topic, error.what());
     }
@@ -378,20 +364,25 @@ bool Recorder::take_some(RecordedTopic& topic) {
 }
 
 bool Recorder::take_one(RecordedTopic& topic) {
+  const bool is_full = topic.treatment == Treatment::recorded && !has_room();
+  const bool is_kept = topic.treatment != Treatment::measured && !is_full;
   OpenChunk& open = topic.treatment == Treatment::held ? held_ : live_;
-  rcl_serialized_message_t message = message_in(open.builder());
+  rcl_serialized_message_t message = message_in(is_kept ? open.builder() : scratch_);
   rmw_message_info_t info = rmw_get_zero_initialized_message_info();
   if (!topic.subscription->take(message, info)) {
     return false;
   }
-  ++topic.sequence;
   const std::uint64_t received = clock_.received(info);
   if (topic.measure != nullptr) {
     topic.measure->note(received);
   }
-  const auto now = Clock::now();
-  if (!topic.budget.spend(message.buffer_length, now.time_since_epoch().count())) {
-    ++topic.over_budget;
+  if (topic.treatment == Treatment::measured) {
+    return true;
+  }
+  ++topic.sequence;
+  const std::int64_t now = Clock::now().time_since_epoch().count();
+  if (is_full || !topic.budget.spend(message.buffer_length, now)) {
+    ++(is_full ? topic.without_room : topic.over_budget);
     has_drops_ = true;
     return true;
   }
@@ -407,24 +398,6 @@ bool Recorder::take_one(RecordedTopic& topic) {
   head.publish_time =
       info.source_timestamp > 0 ? static_cast<std::uint64_t>(info.source_timestamp) : head.log_time;
   append(open, head, message.buffer_length);
-  return true;
-}
-
-bool Recorder::discard_one(RecordedTopic& topic) {
-  rcl_serialized_message_t message = message_in(scratch_);
-  rmw_message_info_t info = rmw_get_zero_initialized_message_info();
-  if (!topic.subscription->take(message, info)) {
-    return false;
-  }
-  if (topic.measure != nullptr) {
-    topic.measure->note(clock_.received(info));
-  }
-  if (topic.treatment == Treatment::measured) {
-    return true;
-  }
-  ++topic.sequence;
-  ++topic.without_room;
-  has_drops_ = true;
   return true;
 }
 
@@ -470,41 +443,6 @@ void Recorder::report_drops(Clock::time_point now) {
     } else {
       has_drops_ = true;
     }
-  }
-}
-
-void Recorder::note_publishers(const GraphTopic& found) {
-  const auto measure = std::ranges::find(measures_, found.name, &Measure::topic);
-  if (measure == measures_.end()) {
-    return;
-  }
-  const auto offered = node_.offered(found.name);
-  measure->types = found.types_in_words();
-  measure->publishers = static_cast<std::uint32_t>(offered.size());
-  measure->reliable = static_cast<std::uint32_t>(std::ranges::count_if(offered, is_reliable));
-  measure->latched = static_cast<std::uint32_t>(std::ranges::count_if(offered, is_latched));
-}
-
-void Recorder::report_measures(Clock::time_point now) {
-  if (measures_.empty() || now < measured_ + kBetweenReports) {
-    return;
-  }
-  const auto since = static_cast<std::uint64_t>(nanoseconds(now - measured_).count());
-  measured_ = now;
-  const std::uint64_t until = clock_.now_ns();
-  for (Measure& measure : measures_) {
-    const std::uint64_t silent = until - std::min(until, measure.latest);
-    // Without room it is lost, and the next one is as good.
-    link_.send(Packet(Kind::measured)
-                   .text(measure.topic)
-                   .text(measure.types)
-                   .number(measure.publishers)
-                   .number(measure.reliable)
-                   .number(measure.latched)
-                   .number(measure.messages)
-                   .number(std::max(measure.gap, silent))
-                   .number(since));
-    measure.messages = measure.gap = 0;
   }
 }
 

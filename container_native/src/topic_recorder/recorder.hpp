@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "topic_recorder/chunk.hpp"
+#include "topic_recorder/measures.hpp"
 #include "topic_recorder/outbox.hpp"
 #include "topic_recorder/parameter_survey.hpp"
 #include "topic_recorder/recorded_topic.hpp"
@@ -48,15 +49,12 @@ class Recorder {
   /// Takes some; whether more may wait.
   bool take_some(RecordedTopic& topic);
   bool take_one(RecordedTopic& topic);
-  bool discard_one(RecordedTopic& topic);
   void ask_for_parameters();
   void record(const ParameterSurvey::Parameters& parameters);
   [[nodiscard]] bool has_room() const;
   void append(OpenChunk& open, const MessageHead& head, std::size_t size);
   void finish(OpenChunk& open);
   void report_drops(Clock::time_point now);
-  void note_publishers(const GraphTopic& found);
-  void report_measures(Clock::time_point now);
 
   const Options options_;
   SessionClock clock_;
@@ -77,8 +75,7 @@ class Recorder {
   std::uint32_t parameters_sequence_ = 0;
   /// By the number of their request for a channel, from 1 on.
   std::vector<std::unique_ptr<RecordedTopic>> topics_;
-  std::vector<Measure> measures_;
-  Clock::time_point measured_;
+  Measures measures_;
   /// Topics that were complained of.
   std::set<std::string> warned_;
   bool graph_changed_ = true;

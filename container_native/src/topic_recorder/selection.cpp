@@ -42,6 +42,14 @@ std::uint64_t budget_of(const Options& options, const std::string& topic) {
   return place == options.topic_budgets.end() ? options.budget : place->second;
 }
 
+bool is_measured(const Options& options, const std::string& topic) {
+  return any_matches(options.measured, topic);
+}
+
+bool is_pattern(std::string_view name) {
+  return name.find_first_of("*?") != std::string_view::npos;
+}
+
 Treatment treatment(const Options& options, const std::string& topic) {
   if (topic.starts_with("/play_launch/")) {
     return Treatment::none;
@@ -54,7 +62,7 @@ Treatment treatment(const Options& options, const std::string& topic) {
       return Treatment::held;
     }
   }
-  return std::ranges::count(options.measured, topic) ? Treatment::measured : Treatment::none;
+  return is_measured(options, topic) ? Treatment::measured : Treatment::none;
 }
 
 namespace {
@@ -90,10 +98,15 @@ bool is_latched(const rmw_qos_profile_t& profile) {
   return profile.durability == RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL;
 }
 
-rmw_qos_profile_t request_for(const std::vector<rmw_qos_profile_t>& offered) {
+rmw_qos_profile_t request_for(const std::vector<rmw_qos_profile_t>& offered, Treatment treatment) {
   rmw_qos_profile_t request = rmw_qos_profile_default;
   request.history = RMW_QOS_POLICY_HISTORY_KEEP_LAST;
   request.depth = kDepth;
+  if (treatment == Treatment::measured) {
+    request.reliability = RMW_QOS_POLICY_RELIABILITY_BEST_EFFORT;
+    request.durability = RMW_QOS_POLICY_DURABILITY_VOLATILE;
+    return request;
+  }
   request.reliability = std::ranges::all_of(offered, is_reliable)
                             ? RMW_QOS_POLICY_RELIABILITY_RELIABLE
                             : RMW_QOS_POLICY_RELIABILITY_BEST_EFFORT;

@@ -19,7 +19,7 @@ struct Options {
   std::vector<std::string> excluded;
   /// Those that are kept in memory until they are asked for.
   std::vector<std::string> held;
-  /// Names of topics of which is reported what comes.
+  /// Names of topics, or patterns, of which is reported what comes.
   std::vector<std::string> measured;
   /// Bytes per second that may be recorded of each topic; 0 for any number.
   std::uint64_t budget = 0;
@@ -65,6 +65,12 @@ constexpr const char* kParametersTopic = "/play_launch/parameters";
 /// Whether nodes are to be asked for their parameters.
 bool asks_for_parameters(const Options& options);
 
+/// Whether it is reported what comes on a topic.
+bool is_measured(const Options& options, const std::string& topic);
+
+/// Whether a name is a pattern.
+bool is_pattern(std::string_view name);
+
 /// What is both asked for as it comes and to be held is recorded as it comes. Never topics below
 /// /play_launch: those are the supervisor's own, played back from a recording. What is recorded or
 /// held can be measured as well.
@@ -78,7 +84,8 @@ bool is_latched(const rmw_qos_profile_t& profile);
 
 /// What to ask for so that every one of these publishers is heard: reliable and transient_local
 /// only where all of them are, as rosbag2 does. `offered` is not empty.
-rmw_qos_profile_t request_for(const std::vector<rmw_qos_profile_t>& offered);
+/// What is only measured is neither acknowledged nor sent again, which spares both ends.
+rmw_qos_profile_t request_for(const std::vector<rmw_qos_profile_t>& offered, Treatment treatment);
 
 /// Whether a subscription that asks for `present` does not hear publishers that `wanted` does.
 bool asks_too_much(const rmw_qos_profile_t& present, const rmw_qos_profile_t& wanted);

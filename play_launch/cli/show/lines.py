@@ -17,6 +17,7 @@ from play_launch.supervisor.events import (
     ActionPhase,
     ContainerState,
     ContainerStateChanged,
+    ExpectationChanged,
     LogRecord,
     ManagedNodeChanged,
     ManagedState,
@@ -84,6 +85,8 @@ def _is_progress(event: RunEvent, before: SystemView, after: SystemView) -> bool
             return not (event.exit_code or event.signal) or _was_stopping(event.name, before)
         case ActionEvent():
             return event.phase is ActionPhase.DONE
+        case ExpectationChanged():
+            return event.is_met
         # In the other states, the states of the node itself say the same.
         case ManagedNodeChanged() if event.state not in {ManagedState.ABSENT, ManagedState.ASKED}:
             return event.state is not ManagedState.FAILED

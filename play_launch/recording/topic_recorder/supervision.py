@@ -10,7 +10,6 @@ import math
 import os
 import random
 import socket
-import time
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -40,8 +39,7 @@ if TYPE_CHECKING:
     from play_launch.process.child import Child
     from play_launch.process.lines import Line
     from play_launch.recording.recorder import Recorder
-    from play_launch.supervisor.events import RunEvent, Stream
-    from play_launch.supervisor.expectations import Expectations
+    from play_launch.supervisor.events import Stream
 
 
 _RESTARTS: Final = RestartLimits(max_restarts=3, within=60.0, initial=0.5, maximum=8.0)
@@ -62,12 +60,10 @@ class TopicRecording:
         self,
         config: ReplayConfig,
         recorder: Recorder,
-        expectations: Expectations,
-        publish: Callable[[RunEvent], None],
+        on_measured: Callable[[Measured], None],
     ) -> None:
         self._config = config
-        self._expectations = expectations
-        self._publish = publish
+        self._on_measured = on_measured
         self._recorder = recorder
         self._program: Path | None = None
         self._guard: SessionGuard | None = None
@@ -188,7 +184,6 @@ class TopicRecording:
         # What it has sent is still in the socket.
         await self._link.ended()
         self._link = None
-        self._expectations.interrupt()
         # Before the next one: publishers must have given up the ports that it takes over.
         await self._sweep()
         return f"topic_recorder {ended}"
@@ -225,8 +220,7 @@ class TopicRecording:
             case wire.Warned():
                 _log.warning("%s", packet.text)
             case Measured():
-                for event in self._expectations.take(packet, time.time_ns()):
-                    self._publish(event)
+                self._on_measured(packet)
             case wire.SnapshotSent():
                 self._recorder.after_these(partial(self._when_written, packet))
 

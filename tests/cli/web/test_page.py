@@ -28,6 +28,8 @@ CONFIG = """\
 version: 1
 name: shown
 environment: {ROS_AUTOMATIC_DISCOVERY_RANGE: LOCALHOST}
+expect:
+  /chatter: {publishers: 1, min_rate: 5 Hz}
 containers:
   - name: chat
     container_type: isolated
@@ -94,6 +96,10 @@ def test_metrics_tell_the_states(session: Replay) -> None:
         assert up == {"/chat": 1, "/chat:/talker": 1}
         assert families["play_launch_unit_restarts"].samples[0].name.endswith("_total")
         assert families["play_launch_session_up"].samples[0].value == 1
+        session.until(event="expectation", topic="/chatter", is_met=True)
+        text = server.get("/metrics")[2]
+        assert 'play_launch_topic_as_expected{machine="",topic="/chatter"} 1.0' in text
+        assert 'play_launch_topic_breaks_total{machine="",topic="/chatter"} 0.0' in text
         session.process.send_signal(signal.SIGINT)
         session.read_all()
         until(lambda: 'session_up{session=""} 0.0' in server.get("/metrics")[2], "its end")
@@ -121,6 +127,17 @@ def test_the_connections_are_checked(session: Replay, browser: Browser) -> None:
             browser.until("document.body.innerText.includes('everything connects')")
         finally:
             run("daemon", "stop", code=0)
+
+
+@needs_browser
+def test_topics_are_compared_with_what_is_expected(session: Replay, browser: Browser) -> None:
+    session.until(event="expectation", topic="/chatter", is_met=True)
+    with serving("--session", session.pid) as server:
+        visit(browser, server)
+        browser.run("document.querySelectorAll('.q-expansion-item .q-item')[1].click()")
+        browser.until("document.body.innerText.includes('as expected')")
+        session.ask("unload", "talker", code=0)
+        browser.until("document.body.innerText.includes('0 publishers instead of 1')")
 
 
 @needs_browser
@@ -177,10 +194,14 @@ def test_who_may_only_look_gets_no_buttons(session: Replay, browser: Browser) ->
 
 
 def test_the_demo_has_a_page(tmp_path: Path) -> None:
-    words = ("demo", "--web", "--seconds", "8", "--json", "--log-dir", str(tmp_path))
+    words = ("demo", "--web", "--seconds", "18", "--json", "--log-dir", str(tmp_path))
     events = [json.loads(line) for line in run(*words).stdout.splitlines()]
     printed = [each["text"] for each in events if each.get("process") == "/page"]
     # The port may be taken, and then this is said.
     assert any("http://127.0.0.1:8080/?token=" in each or "--port 8080" in each for each in printed)
     crashed = {each["node"] for each in events if each.get("state") == "crashed"}
     assert crashed == {"/unlucky"}
+    found = {each["topic"]: each["is_met"] for each in events if each["event"] == "expectation"}
+    assert found == {"/chatter": True, "/heartbeat": False}
+    explained = json.loads(run("explain", "--json", tmp_path / "latest", code=1).stdout)
+    assert "/heartbeat" in {each["name"] for each in explained["findings"]}

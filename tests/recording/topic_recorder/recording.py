@@ -22,7 +22,6 @@ from play_launch.recording.limits import RecordingSummary
 from play_launch.recording.recorder import Recorder
 from play_launch.recording.topic_recorder.supervision import TopicRecording
 from play_launch.recording.topics import message_definition
-from play_launch.supervisor.expectations import Expectations
 
 _PTRACE_SEIZE, _PTRACE_INTERRUPT, _PTRACE_DETACH = 0x4206, 0x4207, 17
 _WALL = 0x40000000
@@ -73,7 +72,7 @@ class Recording:
 
     def __init__(self, recorder: CountingRecorder, config: ReplayConfig) -> None:
         self.recorder = recorder
-        self.topics = TopicRecording(config, recorder, Expectations({}), lambda _event: None)
+        self.topics = TopicRecording(config, recorder, lambda _measured: None)
         self.summary: RecordingSummary | None = None
 
     @property

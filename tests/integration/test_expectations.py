@@ -1,0 +1,85 @@
+"""Topics that are not as expected: a node that ends, one that never comes, and what waits."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+from unittest.mock import ANY
+
+import pytest
+
+from tests.support.replay import replaying, run
+from tests.support.scenes import node, written
+
+EXPECT = {
+    "/chatter": {
+        "type": "std_msgs/String",
+        "min_rate": 5,
+        "max_rate": "20 Hz",
+        "max_gap": "3 s",
+        "publishers": 1,
+        "reliability": "reliable",
+        "durability": "volatile",
+    }
+}
+
+
+def test_a_topic_is_measured_reported_and_waited_for(tmp_path: Path) -> None:
+    late = {"name": "late", "command": ["true"], "depends_on": [{"expect": "chatter"}]}
+    containers = [{"name": "c", "container_type": "isolated", "composable_nodes": [node("talker")]}]
+    config = written(
+        tmp_path, record={"ros": False}, expect=EXPECT, containers=containers, nodes=[late]
+    )
+    with replaying(config, tmp_path / "logs") as replay:
+        replay.until(event="process", name="/late", kind="waiting")
+        replay.until(event="expectation", topic="/chatter", is_met=True)
+        replay.until(event="process", name="/late", kind="exited")
+        replay.ask("wait", "--for", "ready", code=0)
+        (row,) = json.loads(replay.ask("expect", "--json", code=0).stdout)
+        assert (row["publishers"], row["type"]) == (1, "std_msgs/msg/String")
+        assert 5 <= row["rate"] <= 20
+
+        learned = json.loads(replay.ask("expect", "--learn", "4s", "--json", code=0).stdout)
+        assert learned["expect"]["/chatter"] == {
+            "type": "std_msgs/msg/String",
+            "min_rate": pytest.approx(8.0, abs=1.5),
+            "max_gap": ANY,
+            "publishers": 1,
+            "reliability": "reliable",
+            "durability": "volatile",
+        }
+        run("check", written(tmp_path / "learned.yaml", **learned, nodes=[late]), code=0)
+
+        replay.ask("unload", "talker", code=0)
+        broken = replay.until(event="expectation", is_met=False)
+        assert broken["reason"].startswith("0 publishers instead of 1")
+        assert "broken" in replay.ask("expect", code=1).stdout
+        refused = replay.ask("wait", "--for", "ready", "--timeout", "1s", code=4)
+        assert "/chatter: 0 publishers instead of 1" in refused.stderr
+        replay.ask("load", "talker", code=0)
+        replay.until(event="expectation", is_met=True)
+        # At the end, publishers go away because they are to.
+        replay.process.send_signal(signal.SIGINT)
+        replay.read_all()
+        assert len(replay.told(event="expectation")) == 3
+    found = json.loads(run("explain", "--json", replay.bag, code=1).stdout)["findings"]
+    (finding,) = [each for each in found if each["kind"] == "not_as_expected"]
+    assert finding["name"] == "/chatter"
+
+
+def test_what_measures_may_die(tmp_path: Path) -> None:
+    containers = [{"name": "c", "composable_nodes": [node("talker")]}]
+    config = written(tmp_path, expect=EXPECT, containers=containers)
+    with replaying(config, tmp_path / "logs") as replay:
+        replay.until(event="expectation", is_met=True)
+        (recorder,) = [
+            each for each in replay.descendants() if each.name().startswith("topic_recorder")
+        ]
+        os.kill(recorder.pid, signal.SIGKILL)
+        replay.read_until(
+            lambda event: "topic_recorder" in event.get("message", ""), "the death of the recorder"
+        )
+        replay.ask("unload", "talker", code=0)
+        replay.until(event="expectation", is_met=False)
