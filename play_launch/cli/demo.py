@@ -124,7 +124,7 @@ def _with_page() -> dict[str, Any]:
         "restart": {"max_restarts": 100, "backoff": {"initial": "1 s", "maximum": "5 s"}},
     }
     # Its listener requests reliable, and hears nothing.
-    whisper = _talking("Talker", "whisper", "gossip", {"best_effort": True, "rate": 1.0})
+    whisper = _talking("Talker", "whisper", "gossip", {"reliable": False, "rate": 1.0})
     eager = _talking("Listener", "eager_listener", "gossip", {})
     tired = _talking("Talker", "tired", "heartbeat", {"rate": 2.0})
     lab = [unlucky, whisper, eager, tired]
