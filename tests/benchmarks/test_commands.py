@@ -82,6 +82,11 @@ def test_several_machines_lose_no_line() -> None:
     assert found["lost"] == 0
 
 
+def test_measured_topics_are_as_expected() -> None:
+    found = json.loads(run("expectations", "--topics=2", "--rate=20", "--seconds=1", "--json"))
+    assert (found["with"]["met"], found["without"]["met"]) == (2, 0)
+
+
 @pytest.mark.skipif(find_browser() is None, reason="no Chromium")
 def test_a_crash_is_on_the_page() -> None:
     found = json.loads(run("web", "--crashes=2", "--seconds=1", "--viewers", "0", "1", "--json"))

@@ -20,6 +20,7 @@ from tests.support.loopback_network import wrapped
 from tests.support.shared_memory import segments_of
 from tests.support.waiting import until
 
+_OWN_FAULTS = {-signal.SIGABRT, -signal.SIGSEGV, -signal.SIGBUS}
 COMMAND = Path(sys.executable).parent / "play-launch"
 
 
@@ -180,13 +181,14 @@ def replaying(
             held = segments_of([replay.pid, *(each.pid for each in replay.descendants())])
             process.send_signal(signal.SIGINT)
         try:
-            process.communicate(timeout=60)
+            _, errors = process.communicate(timeout=60)
         except subprocess.TimeoutExpired:
             for child in replay.descendants():
                 child.kill()
             process.kill()
             process.communicate()
             raise
+    assert process.returncode not in _OWN_FAULTS, f"it died: {errors[-4000:]}"
     left = {path.name for path in held if path.exists()}
     assert not left, f"segments of Fast DDS are left: {left}"
 

@@ -228,8 +228,12 @@ class _Change:
 
     async def _add(self, part: Part) -> None:
         began = anyio.current_time()
-        self._coordinator.follow(part)
         failed: dict[str, str] = {}
+        try:
+            self._coordinator.follow(part)
+        except OperationError as refusal:
+            part.close()
+            part.put(MachineState.ENDED, str(refusal))
         with anyio.move_on_after(self._request.timeout) as limit:
             await part.until_not(BEGUN)
         if limit.cancelled_caught or part.state in OVER:

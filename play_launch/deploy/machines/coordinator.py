@@ -208,11 +208,11 @@ class Coordinator:
             await part.adopt(part.config, await part.bring(part.config))
 
     def follow(self, part: Part) -> None:
-        """Start or adopt the session of a part, and accompany it to its end."""
-        assert self._tasks is not None
+        """Start or adopt the session of a part, and accompany it; raises OperationError."""
+        tasks = self.require_running()
         self._failures.pop(part.name, None)
         self._followed[part] = scope = anyio.CancelScope()
-        self._tasks.start_soon(self._accompany, part, scope)
+        tasks.start_soon(self._accompany, part, scope)
 
     async def _accompany(self, part: Part, scope: anyio.CancelScope) -> None:
         with scope:
@@ -226,10 +226,11 @@ class Coordinator:
         del self._followed[part]
         self._changed.set()
 
-    def require_running(self) -> None:
-        """Raises OperationError while the system is being started or stopped."""
+    def require_running(self) -> TaskGroup:
+        """Return its tasks; raises OperationError while it is being started or stopped."""
         if self._tasks is None or self._ended.is_set():
             raise OperationError(Code.REFUSED, "the system is being started, or stopped")
+        return self._tasks
 
     def leave(self, part: Part) -> None:
         """Accompany a part no longer; what may run there goes on."""
