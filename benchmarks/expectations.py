@@ -20,7 +20,6 @@ import yaml
 
 from benchmarks.running import running
 from benchmarks.sampling import cpu_seconds
-from benchmarks.statistics import header
 from play_launch.control.sessions import connect
 
 SETTLED = 8.0
@@ -89,7 +88,6 @@ def main() -> None:
     if options.json:
         print(json.dumps(found))
         return
-    print(header())
     for what, each in found.items():
         used = ", ".join(f"{key} {value:.1f} %" for key, value in each["percent"].items())
         print(f"{what} expect: {used} ({each['met']} as expected)")
