@@ -94,6 +94,7 @@ _ALL: Final = (
     Verb("param", CONTROL, "Get, set and dump parameters of nodes."),
     Verb("snapshot", CONTROL, "Write the pre-crash buffer (record.before_crash).", "operate"),
     Verb("expect", CONTROL, "Compare topics with what is expected of them."),
+    Verb("diagnostics", CONTROL, "Publish the states of all units on /diagnostics."),
     Verb("info", _ANALYSE, "Summarise a recording."),
     Verb("inspect", _ANALYSE, "Print the events of a recording."),
     Verb("report", _ANALYSE, "Write an HTML page about a recording."),

@@ -22,7 +22,9 @@ DIAGNOSTIC_ARRAY: Final = Layout(
 )
 LEVELS: Final = ("OK", "WARN", "ERROR", "STALE")
 """By their numbers in `diagnostic_msgs/msg/DiagnosticStatus`."""
-ERROR: Final = 2
+OK, WARN, ERROR, STALE = range(4)
+OWN_PREFIX: Final = "play_launch: "
+"""Begins the names of the statuses that `play-launch diagnostics` publishes of units."""
 _MOST_STATUSES: Final = 10_000
 _MOST_CHANGES: Final = 1_000
 """Of one status; further ones are counted."""
@@ -65,6 +67,8 @@ class Diagnostics:
             raise UnreadableEventError(reason) from error
         at_ns = message.log_time
         for report in reports:
+            if report["name"].startswith(OWN_PREFIX):
+                continue  # the states of units say the same
             status = self.statuses.get(report["name"])
             if status is None:
                 if len(self.statuses) >= _MOST_STATUSES:

@@ -60,6 +60,15 @@ class NodeServices:
         finally:
             self._node.destroy_client(client)
 
+    def publisher(self, kind: Any, topic: str) -> Callable[[Any], None]:
+        """Return what publishes a message of that type."""
+        publish: Callable[[Any], None] = self._node.create_publisher(kind, topic, 10).publish
+        return publish
+
+    def now(self) -> Any:
+        """Return the time as ``builtin_interfaces/Time``."""
+        return self._node.get_clock().now().to_msg()
+
     def nodes(self) -> set[str]:
         """Full names of the nodes that are seen in the graph by now."""
         found = self._node.get_node_names_and_namespaces()

@@ -43,7 +43,7 @@ def test_every_command_that_answers_has_json() -> None:
     assert without == CHANGES_ONLY | WRITES_A_FILE | FOR_PEOPLE
 
 
-FOR_PEOPLE = {"top", "web"}
+FOR_PEOPLE = {"top", "web", "diagnostics"}
 
 SESSION_COMMANDS = {each.name for each in COMMANDS.values() if each.group == CONTROL}
 ASKED = {

@@ -80,7 +80,6 @@ class Placement:
     def __init__(
         self, at_document: Cursor, machines: dict[str, MachineConfig], default: str | None
     ) -> None:
-        self._at = at_document
         self._machines = machines
         self._default = next((name for name, each in machines.items() if each.local), "")
         if default is not None and self._known(default, at_document.at_key("machine")):

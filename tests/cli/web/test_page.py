@@ -40,11 +40,13 @@ DIALOG = "document.querySelector('.q-dialog')"
 BUTTONS = "[...document.querySelectorAll('button')]"
 
 
-def test_the_configuration_of_the_documentation_is_right(tmp_path: Path) -> None:
-    (example,) = re.findall(r"```yaml\n(version: .*?)```", PAGE.read_text(), re.DOTALL)
-    config = tmp_path / "robot.yaml"
-    config.write_text(example)
-    run("check", config, code=0)
+def test_the_configurations_of_the_documentation_are_right(tmp_path: Path) -> None:
+    examples = re.findall(r"```yaml\n(version: .*?)```", PAGE.read_text(), re.DOTALL)
+    assert len(examples) == 2
+    for example in examples:
+        config = tmp_path / "robot.yaml"
+        config.write_text(example)
+        run("check", config, code=0)
 
 
 @pytest.fixture

@@ -1,0 +1,68 @@
+"""`play-launch diagnostics`: what other tools hear of a system, as a process of it."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+from tests.support.replay import COMMAND, Replay, recorded, replaying, run
+from tests.support.scenes import node, written
+
+
+def statuses(replay: Replay) -> list[dict[str, Any]]:
+    """Give the arrays in a recording, by the names of the statuses."""
+    arrays = recorded(replay.bag, "/diagnostics")
+    return [{each.name: each for each in array.status} for array in arrays]
+
+
+def test_units_and_topics_have_their_statuses(tmp_path: Path) -> None:
+    config = written(
+        tmp_path,
+        name="monitored",
+        environment={"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+        expect={"/chatter": {"min_rate": 1}},
+        containers=[
+            {
+                "name": "c",
+                "container_type": "isolated",
+                "composable_nodes": [node("talker", on_crash="ignore")],
+            }
+        ],
+        nodes=[
+            {
+                "name": "status",
+                "command": [
+                    *(str(COMMAND), "diagnostics", "--period", "200ms"),
+                    *("--session", str(tmp_path / "logs" / "latest")),
+                ],
+            }
+        ],
+    )
+    with replaying(config, tmp_path / "logs") as replay:
+        replay.until(event="expectation", topic="/chatter", is_met=True)
+        os.kill(replay.pids()["/talker"], signal.SIGSEGV)
+        replay.until(event="expectation", topic="/chatter", is_met=False)
+        replay.ask("load", "talker", code=0)
+        replay.until(event="expectation", topic="/chatter", is_met=True)
+        replay.process.send_signal(signal.SIGINT)
+        replay.read_all()
+        assert [
+            (each["exit_code"], each["signal"])
+            for each in replay.told(event="process", name="/status", kind="exited")
+        ] == [(0, 0)]
+    found = statuses(replay)
+    talker, topic = "play_launch: /c:/talker", "play_launch: topic /chatter"
+    assert {"play_launch: /c", "play_launch: /status", talker, topic} == found[-1].keys()
+    told = {(array[talker].level, array[talker].message) for array in found}
+    assert (0, "loaded") in told
+    assert any(level == 2 and "SIGSEGV" in message for level, message in told)
+    assert {each.key for each in found[-1][talker].values} >= {"restarts", "crashes"}
+    broken = [array[topic] for array in found if topic in array and array[topic].level == 2]
+    assert "no publisher" in {each.message for each in broken}
+    assert broken[0].hardware_id
+    # The states of units say the same.
+    explained = run("explain", replay.bag, code=1).stdout
+    assert "/talker in /c crashed" in explained
+    assert "play_launch:" not in explained
