@@ -14,10 +14,9 @@ from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.connection import connected, enter_environment_of, report_end
 from play_launch.cli.output import note
-from play_launch.cli.top import model
 from play_launch.control.messages import UnitRow
 from play_launch.control.protocol import OperationError
-from play_launch.control.units import target_of
+from play_launch.control.units import Health, health, target_of
 from play_launch.postmortem.diagnostics import ERROR, OK, OWN_PREFIX, STALE, WARN
 
 if TYPE_CHECKING:
@@ -28,10 +27,10 @@ if TYPE_CHECKING:
 _START: Final = 60.0
 """Seconds until there is a session."""
 _LEVELS: Final = {
-    model.Health.FAILED: ERROR,
-    model.Health.CHANGING: WARN,
-    model.Health.UP: OK,
-    model.Health.INACTIVE: OK,
+    Health.FAILED: ERROR,
+    Health.CHANGING: WARN,
+    Health.UP: OK,
+    Health.INACTIVE: OK,
 }
 _UNREACHABLE: Final = "unreachable"
 
@@ -70,7 +69,7 @@ def diagnostics(
 
 
 def _of_unit(row: UnitRow) -> DiagnosticStatus:
-    level = STALE if row.state == _UNREACHABLE else _LEVELS[model.health(row)]
+    level = STALE if row.state == _UNREACHABLE else _LEVELS[health(row)]
     message = f"{row.state}: {row.reason}" if row.reason else row.state
     values = {
         "pid": row.pid,

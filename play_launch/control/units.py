@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from enum import StrEnum
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Final
 
@@ -57,6 +58,32 @@ _HAS_PROCESS: Final = frozenset({NodeState.LOADED, NodeState.LOADING, NodeState.
 _TICKS: Final = os.sysconf("SC_CLK_TCK")
 _SAMPLE_AGE_LIMIT_NS: Final = 30_000_000_000
 """Older samples are not shown."""
+
+
+class Health(StrEnum):
+    """Class of a state, worst first."""
+
+    FAILED = "failed"
+    CHANGING = "changing"
+    UP = "up"
+    INACTIVE = "inactive"
+
+
+_HEALTH: Final = {
+    "running": Health.UP,
+    "loaded": Health.UP,
+    **dict.fromkeys(("stopped", "unloaded", "exited"), Health.INACTIVE),
+    **dict.fromkeys(
+        ("gave up", "load failed", "crashed", "lost", "backoff", "killing"), Health.FAILED
+    ),
+}
+
+
+def health(row: UnitRow) -> Health:
+    """Classify a row; an unknown state counts as changing."""
+    if row.state == "exited" and (row.exit_code or row.signal):
+        return Health.FAILED
+    return _HEALTH.get(row.state, Health.CHANGING)
 
 
 def members_of(view: SystemView, processes: Iterable[str]) -> list[Target]:

@@ -14,7 +14,7 @@ from play_launch.cli.output import clock, duration, printable, size
 from play_launch.control.event_words import OWN_NAME
 from play_launch.control.messages import UnitRow
 from play_launch.control.protocol import NODE_ACTIONS
-from play_launch.control.units import Target, target_of
+from play_launch.control.units import Health, Target, health, target_of
 from play_launch.recording.console_format import CONSOLE_FORMAT, logger_of
 
 if TYPE_CHECKING:
@@ -43,30 +43,12 @@ def clean(text: str) -> str:
     return f"{shown}…" if len(text) > TEXT_LIMIT else shown
 
 
-class Health(Enum):
-    """Class of a state, worst first; the value is the style of the cell."""
-
-    FAILED = "bold red"
-    CHANGING = "yellow"
-    UP = "green"
-    INACTIVE = "dim"
-
-
-_HEALTH: Final = {
-    "running": Health.UP,
-    "loaded": Health.UP,
-    **dict.fromkeys(("stopped", "unloaded", "exited"), Health.INACTIVE),
-    **dict.fromkeys(
-        ("gave up", "load failed", "crashed", "lost", "backoff", "killing"), Health.FAILED
-    ),
+_COLOURS: Final = {
+    Health.FAILED: "bold red",
+    Health.CHANGING: "yellow",
+    Health.UP: "green",
+    Health.INACTIVE: "dim",
 }
-
-
-def health(row: UnitRow) -> Health:
-    """Classify a row; an unknown state counts as changing."""
-    if row.state == "exited" and (row.exit_code or row.signal):
-        return Health.FAILED
-    return _HEALTH.get(row.state, Health.CHANGING)
 
 
 class Order(StrEnum):
@@ -130,8 +112,11 @@ def matching(rows: Iterable[UnitRow], pattern: str) -> list[UnitRow]:
 def counted(rows: Sequence[UnitRow]) -> str:
     """Summarise the system: ``7 of 9 up, 1 failed, 1 inactive``."""
     states = [health(row) for row in rows]
-    words = {Health.FAILED: "failed", Health.CHANGING: "changing", Health.INACTIVE: "inactive"}
-    others = [f"{states.count(each)} {word}" for each, word in words.items() if each in states]
+    others = [
+        f"{states.count(each)} {each}"
+        for each in Health
+        if each in states and each is not Health.UP
+    ]
     return ", ".join([f"{states.count(Health.UP)} of {len(rows)} up", *others])
 
 
@@ -178,7 +163,7 @@ def cells_of(
     return [
         *([Text(machine)] if machine_cells else []),
         Text(name),
-        Text(clean(row.state), health(row).value),
+        Text(clean(row.state), _COLOURS[health(row)]),
         *(Text(figure, justify="right") for figure in figures),
         Text(f" {last_line}"),
     ]

@@ -8,8 +8,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, State
 from prometheus_client.openmetrics.exposition import CONTENT_TYPE_LATEST, generate_latest
 from prometheus_client.registry import CollectorRegistry
 
-from play_launch.cli.top import model
-from play_launch.control.units import target_of
+from play_launch.control.units import Health, health, target_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -35,12 +34,6 @@ _GAUGES: Final[dict[str, tuple[str, Callable[[UnitRow], float | None]]]] = {
     ),
     "memory_bytes": ("Memory of a unit.", lambda row: row.memory_bytes),
 }
-_STATES: Final = {
-    model.Health.FAILED: "failed",
-    model.Health.CHANGING: "changing",
-    model.Health.UP: "up",
-    model.Health.INACTIVE: "inactive",
-}
 
 
 class _Rows:
@@ -63,8 +56,8 @@ class _Rows:
             "play_launch_unit_state", "The class of a unit's state.", labels=_LABELS
         )
         for row in self._rows:
-            now = model.health(row)
-            states.add_metric(_labels(row), {name: each is now for each, name in _STATES.items()})
+            now = health(row)
+            states.add_metric(_labels(row), {each.value: each is now for each in Health})
         yield states
         for name, (about, count) in _COUNTERS.items():
             counter = CounterMetricFamily(f"play_launch_unit_{name}", about, labels=_LABELS)

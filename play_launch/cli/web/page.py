@@ -16,7 +16,7 @@ from play_launch.cli.top import model
 from play_launch.cli.web.access import RIGHT, Right
 from play_launch.cli.web.commands import CommandError
 from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, OperationError
-from play_launch.control.units import target_of
+from play_launch.control.units import Health, health, target_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -38,10 +38,10 @@ _MOST_LINES: Final = 300
 _BATCH: Final = 100
 """Lines that are added at once."""
 _COLOURS: Final = {
-    model.Health.FAILED: "red-9",
-    model.Health.CHANGING: "amber-10",
-    model.Health.UP: "green-9",
-    model.Health.INACTIVE: "grey-8",
+    Health.FAILED: "red-9",
+    Health.CHANGING: "amber-10",
+    Health.UP: "green-9",
+    Health.INACTIVE: "grey-8",
 }
 _WIDE: Final = {"classes": "gt-xs", "headerClasses": "gt-xs"}
 """Not on a phone."""
@@ -159,8 +159,7 @@ class _Page:
         rows = model.matching(self._watch.rows, self._pattern.value or "")
         if self._order.value == PROBLEMS_FIRST:
             # Within a class as declared: nodes stay below their container.
-            healths = list(model.Health)
-            rows = sorted(rows, key=lambda row: model.health(row) is not healths[0])
+            rows = sorted(rows, key=lambda row: health(row) is not Health.FAILED)
         else:
             rows = model.ordered(rows, model.Order(self._order.value))
         self._table.rows = [self._cells(row) for row in rows[:_MOST_ROWS]]
@@ -173,7 +172,7 @@ class _Page:
             "name": f"{machine}{model.clean(row.name)}",
             "inner": row.container is not None,
             "state": row.state,
-            "colour": _COLOURS[model.health(row)],
+            "colour": _COLOURS[health(row)],
             "uptime": "" if row.uptime_s is None else duration(int(row.uptime_s * 1e9)),
             "restarts": row.restarts,
             "cpu": "" if row.cpu_percent is None else f"{row.cpu_percent:.1f}",

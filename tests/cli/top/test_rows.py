@@ -6,11 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.cli.top.model import (
-    Health,
     Order,
     cells_of,
     counted,
-    health,
     machine_width,
     matching,
     memory,
@@ -18,6 +16,7 @@ from play_launch.cli.top.model import (
     uptime,
 )
 from play_launch.control.messages import UnitRow
+from play_launch.control.units import Health, health
 from tests.cli.top.rows import NOTHING, node, row
 
 
