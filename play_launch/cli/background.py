@@ -150,7 +150,8 @@ class Background(Struct):
     def _judge(self, measured: Measured) -> None:
         """Publish what follows for a topic; not when publishers end because all is stopped."""
         if not self.stop.requested.is_set():
-            for event in self.expectations.take(measured, self.publisher.stamp_ns()):
+            stamp_ns, up = self.publisher.stamp_ns(), is_up(self.publisher.view)
+            for event in self.expectations.take(measured, stamp_ns, is_up=up):
                 self.publisher.publish(event)
 
     async def _serve_control(self) -> None:

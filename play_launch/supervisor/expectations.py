@@ -21,7 +21,7 @@ _SPAN: Final = 3.0
 _MESSAGES: Final = 5
 """Messages of the least rate that fit into that span, at least."""
 _SETTLES: Final = 10.0
-"""Seconds from the first measurement in which nothing is expected yet."""
+"""Seconds after the start of the system in which nothing is expected yet."""
 _AGREE: Final = {True: 3, False: 2}
 """Judgements in a row that it takes until it is met, or broken."""
 
@@ -74,10 +74,15 @@ class Expectations:
     def unmet(self) -> tuple[TopicState, ...]:
         return tuple(each for each in self.states if not each.is_met)
 
-    def take(self, measured: Measured, stamp_ns: int) -> Iterator[ExpectationChanged]:
-        """Take a measurement; yield the event of the change that follows from it, if any."""
+    def take(
+        self, measured: Measured, stamp_ns: int, *, is_up: bool = True
+    ) -> Iterator[ExpectationChanged]:
+        """Take a measurement; yield the event of the change that follows from it, if any.
+
+        Before the system is up for the first time, a topic can be found met, not broken.
+        """
         topic = self._topics.get(measured.topic)
-        if topic is not None and topic.take(measured):
+        if topic is not None and topic.take(measured, is_up=is_up):
             yield _event(topic.state, stamp_ns)
 
 
@@ -92,7 +97,7 @@ class _Topic:
         self._expected = expected
         self._window: deque[Measured] = deque()
         self._seconds = 0.0
-        """Since the first measurement."""
+        """In which the system was up."""
         self._judged: bool | None = None
         self._agreeing = 0
         """Equal judgements in a row."""
@@ -101,10 +106,10 @@ class _Topic:
         gap = expected.max_gap if math.isfinite(expected.max_gap) else 0.0
         self._span_ns = max(_SPAN, least, gap) * 1e9
 
-    def take(self, measured: Measured) -> bool:
+    def take(self, measured: Measured, *, is_up: bool) -> bool:
         """Take a measurement; whether the state has changed."""
         self._window.append(measured)
-        self._seconds += measured.span_ns / 1e9
+        self._seconds += measured.span_ns / 1e9 if is_up else 0.0
         while sum(each.span_ns for each in self._window) - self._window[0].span_ns >= self._span_ns:
             self._window.popleft()
         seconds = sum(each.span_ns for each in self._window) / 1e9

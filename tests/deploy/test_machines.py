@@ -30,7 +30,7 @@ def make_reader_of(path: Path) -> Iterator[McapReader]:
 
 
 def test_one_view_and_one_end_of_three_machines(net: Hosts, tmp_path: Path) -> None:
-    config = system(tmp_path, "trio")
+    config = system(tmp_path, "trio", more="expect: {/chatter: {min_rate: 1, machine: h3}}\n")
     with running(net, config) as trio:
         rows = trio.loaded().rows()
         (parts,) = (net.folder / "home2").glob(".cache/play-launch")
@@ -45,6 +45,8 @@ def test_one_view_and_one_end_of_three_machines(net: Hosts, tmp_path: Path) -> N
         }
         assert "/listener" in trio.ask("status", "listener")
         until(lambda: "World" in trio.ask("logs", "listener"), "a line of the listener")
+        until(lambda: "as expected" in trio.ask("expect", code=None), "its topic")
+        assert "h3       /chatter" in trio.ask("expect")
         trio.ask("restart", "listen")
         trio.ask("stop", "nothing_like_it", code=2)
         system(tmp_path, "other", talker="talker2").rename(config)

@@ -99,6 +99,9 @@ def test_one_second_without_messages_changes_nothing() -> None:
 def test_what_is_never_there_is_broken_after_a_while_and_not_before() -> None:
     none = [measured(0, publishers=0, types="")] * 30
     assert changes(expectation(min_rate=5.0), *none) == [(10, False, "no publisher")]
+    judged = Expectations({"/scan": expectation(min_rate=5.0)})
+    assert not [event for each in none for event in judged.take(each, 0, is_up=False)]
+    assert [event.is_met for each in none for event in judged.take(each, 0)] == [False]
 
 
 def test_a_slow_topic_is_measured_over_a_longer_time() -> None:
