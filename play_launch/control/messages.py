@@ -216,6 +216,19 @@ class Results(Struct, frozen=True):
     results: tuple[ActionResult, ...]
 
 
+class RecordingResult(Struct, frozen=True):
+    """Result of ``recording``."""
+
+    dropped: int
+    """events that are not in the recording"""
+    topic_drops: int
+    """messages of topics of ROS that are not in the recording"""
+    lag: float
+    """seconds for which the oldest event waits that is not written yet"""
+    error: str
+    """why the recording takes no data at the moment; empty if it does"""
+
+
 class SnapshotResult(Struct, frozen=True):
     """What was written into the recording."""
 

@@ -19,6 +19,7 @@ from play_launch.control.messages import (
     EventsRequest,
     LastLine,
     ParameterNames,
+    RecordingResult,
     RestartRecord,
     Selected,
     SignalRequest,
@@ -45,6 +46,7 @@ from play_launch.control.units import (
     target_of,
     with_groups,
 )
+from play_launch.recording import topics
 from play_launch.recording.topic_recorder import SnapshotError
 from play_launch.supervisor.events import (
     NodeState,
@@ -62,6 +64,7 @@ if TYPE_CHECKING:
     from play_launch.control.feed import Feed
     from play_launch.control.messages import Caller, Request
     from play_launch.control.units import Samples, Target
+    from play_launch.recording.recorder import Recorder
     from play_launch.recording.topic_recorder import Snapshots
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
@@ -93,11 +96,10 @@ class Operations:
         snapshots: Snapshots,
         expectations: Expectations,
         environment: Mapping[str, str],
-        parameters_of: Callable[[str], bytes | None],
+        recorder: Recorder,
         log: ActionLog,
         apply: Callable[[ChangeRequest, Caller], Awaitable[object]],
     ) -> None:
-        """Operate a system; ``parameters_of`` gives the latest ``NodeParameters`` of a node."""
         self._environment = {
             name: value for name, value in environment.items() if name.startswith(ROS_VARIABLES)
         }
@@ -106,7 +108,7 @@ class Operations:
         self._feed = feed
         self._snapshots = snapshots
         self._expectations = expectations
-        self._parameters_of = parameters_of
+        self._recorder = recorder
         self._samples: Samples = {}
         self._log = log
         coordinated = Coordinated(system)
@@ -125,6 +127,7 @@ class Operations:
             "signal": (SignalRequest, partial(actions.act, "signal")),
             "snapshot": (Nothing, self._snapshot),
             "expectations": (Nothing, self._give_expectations),
+            "recording": (Nothing, self._give_recording),
             "apply": (ChangeRequest, apply),
             "clock": (Nothing, coordinated.clock),
             "meet": (Facts, coordinated.meet),
@@ -173,6 +176,15 @@ class Operations:
     async def _give_expectations(self, _request: Nothing, _caller: Caller) -> object:
         return self._expectations.states
 
+    async def _give_recording(self, _request: Nothing, _caller: Caller) -> RecordingResult:
+        recorder = self._recorder
+        return RecordingResult(
+            dropped=recorder.dropped,
+            topic_drops=recorder.topic_drops,
+            lag=recorder.lag,
+            error=recorder.error,
+        )
+
     async def _events(self, request: EventsRequest, caller: Caller) -> object:
         if wrong := set(request.kinds) - KINDS:
             listed = ", ".join(sorted(KINDS))
@@ -192,7 +204,7 @@ class Operations:
         found = []
         for target in self._chosen(request.names):
             if target in configured:
-                recorded = _names_in(self._parameters_of(full_name(target)))
+                recorded = _names_in(self._recorder.latest(topics.PARAMETERS, full_name(target)))
                 names = sorted({*configured[target], *recorded})
                 found.append(ParameterNames(full_name(target), names))
         return found

@@ -27,7 +27,6 @@ from play_launch.control.operations import Operations
 from play_launch.control.protocol import Code, OperationError
 from play_launch.control.server import serving
 from play_launch.process.session import in_a_thread
-from play_launch.recording import topics
 from play_launch.recording.facts import OURSELVES, package_version
 from play_launch.recording.resolved_form import resolved_form
 from play_launch.runtime.applying import STEP_LIMIT
@@ -106,7 +105,7 @@ async def serve_control(
         snapshots=snapshots,
         expectations=expectations,
         environment={**os.environ, **config.environment},
-        parameters_of=partial(session.recorder.latest, topics.PARAMETERS),
+        recorder=session.recorder,
         log=changes.log,
         apply=changes.apply,
     )

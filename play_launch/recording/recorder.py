@@ -88,6 +88,8 @@ class Recorder:
         """Inputs that no event has followed yet."""
         self._unwritten = 0
         """Events of the batch under way that are not written yet."""
+        self._writing_since = 0
+        """Log time of the first event of that batch."""
         self._flush_at = self._flushed_at = 0.0
         self.topic_messages = 0
         """Messages of topics of ROS that were written."""
@@ -104,6 +106,13 @@ class Recorder:
     def topic_drops(self) -> int:
         """Messages of topics of ROS that were not recorded so far."""
         return self._topic_drops.total()
+
+    @property
+    def lag(self) -> float:
+        """Seconds for which the oldest event waits that is not written yet."""
+        with self._lock:
+            since = self._writing_since or (self._events[0][0] if self._events else 0)
+        return max(self.clock.now() - since, 0) / 1e9 if since else 0.0
 
     @property
     def waiting(self) -> int:
@@ -279,6 +288,7 @@ class Recorder:
             inputs, self._inputs = self._inputs, []
             is_urgent, self._is_urgent = self._is_urgent, False
             is_closing, requests = self._is_closing, len(self._requests)
+            self._writing_since = events[0][0] if events else 0
         if not bag.has_unflushed:
             self._flush_at = time.monotonic() + limits.flush
         if jump_ns := self.clock.jump_ns():
@@ -292,6 +302,7 @@ class Recorder:
         if self._drops.since_ns:
             batch.append((self.clock.now(), self._take_drops().report()))
         is_urgent = self._write(batch) or is_urgent
+        self._writing_since = 0
         try:
             if bag.has_unflushed and (
                 is_urgent or is_closing or time.monotonic() >= self._flush_at

@@ -214,7 +214,7 @@ async def _serve(
 
     @application.get("/metrics")
     async def metrics() -> Response:
-        return Response(exposition(*await watch.scrape()), media_type=CONTENT_TYPE)
+        return Response(exposition(await watch.scrape()), media_type=CONTENT_TYPE)
 
     @application.get("/report/{name}")
     async def report(name: str) -> Response:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, StateSetMetricFamily
 from prometheus_client.openmetrics.exposition import CONTENT_TYPE_LATEST, generate_latest
@@ -11,7 +11,7 @@ from prometheus_client.registry import CollectorRegistry
 from play_launch.control.units import Health, health, target_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from prometheus_client.metrics_core import Metric
 
@@ -36,41 +36,61 @@ _GAUGES: Final[dict[str, tuple[str, Callable[[UnitRow], float | None]]]] = {
 }
 
 
-class _Rows:
+class Scrape(NamedTuple):
+    """What metrics are made of, as the session answers; without a session its name is empty."""
+
+    session: str
+    rows: list[UnitRow]
+    topics: list[dict[str, Any]]
+    recording: dict[str, Any]
+
+
+class _Families:
     """What Prometheus' client collects."""
 
-    def __init__(
-        self, session: str, rows: Sequence[UnitRow], expected: Sequence[dict[str, Any]]
-    ) -> None:
-        self._session = session
-        self._rows = rows
-        self._expected = expected
+    def __init__(self, scrape: Scrape) -> None:
+        self._scrape = scrape
 
     def collect(self) -> Iterator[Metric]:
         session = GaugeMetricFamily(
             "play_launch_session_up", "Whether the session answers.", labels=("session",)
         )
-        session.add_metric((self._session,), float(bool(self._session)))
+        session.add_metric((self._scrape.session,), float(bool(self._scrape.session)))
         yield session
         states = StateSetMetricFamily(
             "play_launch_unit_state", "The class of a unit's state.", labels=_LABELS
         )
-        for row in self._rows:
+        for row in self._scrape.rows:
             now = health(row)
             states.add_metric(_labels(row), {each.value: each is now for each in Health})
         yield states
         for name, (about, count) in _COUNTERS.items():
             counter = CounterMetricFamily(f"play_launch_unit_{name}", about, labels=_LABELS)
-            for row in self._rows:
+            for row in self._scrape.rows:
                 counter.add_metric(_labels(row), count(row))
             yield counter
         for name, (about, figure) in _GAUGES.items():
             gauge = GaugeMetricFamily(f"play_launch_unit_{name}", about, labels=_LABELS)
-            for row in self._rows:
+            for row in self._scrape.rows:
                 if (value := figure(row)) is not None:
                     gauge.add_metric(_labels(row), value)
             yield gauge
         yield from self._topics()
+        yield from self._recording()
+
+    def _recording(self) -> Iterator[Metric]:
+        found = self._scrape.recording
+        if found:
+            yield CounterMetricFamily(
+                "play_launch_recording_dropped",
+                "Events and messages that are not recorded.",
+                value=found["dropped"] + found["topic_drops"],
+            )
+            yield GaugeMetricFamily(
+                "play_launch_recording_lag_seconds",
+                "How long the oldest event waits that is not recorded yet.",
+                value=found["lag"],
+            )
 
     def _topics(self) -> Iterator[Metric]:
         labels = ("topic", "machine")
@@ -83,7 +103,7 @@ class _Rows:
         breaks = CounterMetricFamily(
             "play_launch_topic_breaks", "How often a topic was not as expected.", labels=labels
         )
-        for row in self._expected:
+        for row in self._scrape.topics:
             values = (row["topic"], row.get("machine", ""))
             breaks.add_metric(values, row["breaks"])
             if row["is_met"] is not None:
@@ -97,9 +117,9 @@ def _labels(row: UnitRow) -> tuple[str, str, str]:
     return str(target_of(row)), row.kind, row.machine or ""
 
 
-def exposition(session: str, rows: Sequence[UnitRow], expected: Sequence[dict[str, Any]]) -> bytes:
-    """Return the text of a scrape; without a session its name is empty."""
+def exposition(scrape: Scrape) -> bytes:
+    """Return the text of a scrape."""
     registry = CollectorRegistry(auto_describe=False)
-    registry.register(_Rows(session, rows, expected))
+    registry.register(_Families(scrape))
     text: bytes = generate_latest(registry)  # type: ignore[no-untyped-call]
     return text

@@ -13,6 +13,7 @@ import msgspec
 
 from play_launch.cli.top import model
 from play_launch.cli.top.link import POLL_INTERVAL, SessionLink
+from play_launch.cli.web.metrics import Scrape
 from play_launch.control.messages import UnitRow
 from play_launch.control.protocol import Code, OperationError
 from play_launch.control.sessions import NoSessionError, connect
@@ -166,18 +167,20 @@ class Watch:
         except (NoSessionError, OSError) as error:
             raise OperationError(Code.INTERNAL, str(error)) from None
 
-    async def scrape(self) -> tuple[str, list[UnitRow], list[dict[str, Any]]]:
-        """Return the session's name, its rows and its topics now; all empty without a session."""
+    async def scrape(self) -> Scrape:
+        """Ask for all of which there are metrics; it is empty without a session."""
 
-        def ask() -> tuple[str, list[UnitRow], list[dict[str, Any]]]:
+        def ask() -> Scrape:
             with connect(self._session) as client:
                 rows = msgspec.convert(client.ask("ps"), list[UnitRow], strict=False)
-                return client.hello.name, rows, client.ask("expectations")
+                return Scrape(
+                    client.hello.name, rows, client.ask("expectations"), client.ask("recording")
+                )
 
         try:
             return await asyncio.to_thread(ask)
         except (NoSessionError, OperationError, OSError):
-            return "", [], []
+            return Scrape("", [], [], {})
 
     def carry_out(self, confirmed: Confirmation, answer: Callable[[str], None]) -> None:
         """Request an operation; ``answer`` gets the reason of a refusal, or an empty text."""

@@ -41,7 +41,7 @@ _EVENTS: Final = 5000
 """Events of all machines that are kept for clients."""
 _QUEUE: Final = 5000
 _ACTIONS: Final = frozenset((*MEMBER_ACTIONS, *NODE_ACTIONS, "signal", "wait"))
-_OTHERS: Final = ("apply", "environment", "events", "expectations", "snapshot")
+_OTHERS: Final = ("apply", "environment", "events", "expectations", "recording", "snapshot")
 _LISTS: Final = frozenset(("ps", "status", "parameters"))
 _NOTICED: Final = 0.5
 """Seconds in which the loss of a machine is noticed, until it is asked again."""
@@ -91,6 +91,16 @@ class Requests:
                     await self.result(part, "snapshot", {}, caller) for part in self._reachable()
                 ]
                 return {key: sum(each[key] for each in found) for key in found[0]} if found else {}
+            case "recording":
+                found = [
+                    await self.result(part, "recording", {}, caller) for part in self._reachable()
+                ]
+                return {
+                    "dropped": sum(each["dropped"] for each in found),
+                    "topic_drops": sum(each["topic_drops"] for each in found),
+                    "lag": max((each["lag"] for each in found), default=0.0),
+                    "error": next((each["error"] for each in found if each["error"]), ""),
+                }
             case "expectations":
                 return [
                     {**row, "machine": part.name}

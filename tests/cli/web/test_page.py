@@ -102,6 +102,8 @@ def test_metrics_tell_the_states(session: Replay) -> None:
         text = server.get("/metrics")[2]
         assert 'play_launch_topic_as_expected{machine="",topic="/chatter"} 1.0' in text
         assert 'play_launch_topic_breaks_total{machine="",topic="/chatter"} 0.0' in text
+        assert "play_launch_recording_dropped_total 0" in text
+        assert "play_launch_recording_lag_seconds 0" in text
         session.process.send_signal(signal.SIGINT)
         session.read_all()
         until(lambda: 'session_up{session=""} 0.0' in server.get("/metrics")[2], "its end")
