@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -12,13 +13,21 @@ import psutil
 import pytest
 
 from play_launch.deploy.machines.namespaces import Namespaces, missing
-from tests.support.replay import alive
+from tests.support.replay import alive, run
 from tests.support.waiting import until
 
 PROGRAM = Path(sys.executable).with_name("play-launch")
-pytestmark = pytest.mark.skipif(bool(missing()), reason=f"hosts: {missing()}")
+needs_hosts = pytest.mark.skipif(bool(missing()), reason=f"hosts: {missing()}")
 
 
+def test_without_asyncssh_the_demo_names_it(tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import sys; sys.modules['asyncssh'] = None\n")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    refused = run("demo", "--machines", "2", code=2, env=environment)
+    assert "pip install 'play-launch-py[machines]'" in refused.stderr
+
+
+@needs_hosts
 def test_the_demo_runs_on_several_machines(tmp_path: Path) -> None:
     demo = (str(PROGRAM), "demo", "--machines", "3", "--log-dir", str(tmp_path), "--json")
     with subprocess.Popen([*demo, "--seconds", "60"], stdout=subprocess.PIPE, text=True) as run:
@@ -33,6 +42,7 @@ def test_the_demo_runs_on_several_machines(tmp_path: Path) -> None:
     assert f"pl{run.pid}" not in subprocess.check_output(["ip", "netns", "list"], text=True)
 
 
+@needs_hosts
 def test_a_killed_demo_leaves_no_process_and_the_next_one_removes_its_hosts(
     tmp_path: Path,
 ) -> None:

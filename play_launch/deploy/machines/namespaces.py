@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -33,6 +34,8 @@ _NAME: Final = re.compile(r"pl(\d+)(?:h\d+|sw)")
 
 def missing() -> str:
     """Say what the hosts need and is not here; empty if they can be made."""
+    if find_spec("asyncssh") is None:
+        return "needs asyncssh: pip install 'play-launch-py[machines]'"
     if os.geteuid() != 0:
         return "needs root, for network namespaces"
     absent = sorted({package for each, package in _PROGRAMS.items() if shutil.which(each) is None})
