@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import socket
 import subprocess
@@ -70,7 +71,7 @@ def cells(row: dict[str, Any]) -> tuple[str, ...]:
         printable(row["topic"]),
         _STATES[row["is_met"]],
         "-" if rate is None else f"{rate:.3g} Hz",
-        "-" if gap is None else duration(round(gap * 1e9)),
+        "-" if gap is None else f"{gap * 1e3:.0f} ms" if gap < 1 else duration(round(gap * 1e9)),
         str(row["publishers"]),
         str(row["breaks"]),
         printable(row["reason"]),
@@ -106,7 +107,8 @@ def learned(every: Sequence[Measured]) -> dict[str, Any]:
     if messages >= _LEAST:
         rate = messages / seconds
         values["min_rate"] = float(f"{rate * (1 - _RATE_MARGIN):.2g}")
-        values["max_gap"] = f"{_GAP_MARGIN * max(each.gap_ns for each in every) / 1e9:.2g} s"
+        gap_ns = max(each.gap_ns for each in every)
+        values["max_gap"] = f"{math.ceil(_GAP_MARGIN * gap_ns / 1e6)} ms"
     values["publishers"] = last.publishers
     for key, full, empty, having in (
         ("reliability", "reliable", "best_effort", last.reliable),

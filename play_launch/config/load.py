@@ -40,7 +40,7 @@ from play_launch.config.resolve.policy import (
     refined_resources,
 )
 from play_launch.config.schema import DocumentSection, LoadingSection
-from play_launch.config.section import items_of, validate_mapping, well_formed
+from play_launch.config.section import entries_of, items_of, validate_mapping, well_formed
 from play_launch.config.sections import ExpectationSection
 from play_launch.config.source import Refused, path_from, read_bytes
 from play_launch.config.substitutions import Inputs, InputsUsed
@@ -185,12 +185,7 @@ def _refuse_unread(at: Cursor, loading: LoadingSection, kinds: set[ContainerType
 def _expectations(at: Cursor | None, placement: Placement) -> dict[str, Expectation]:
     """Return what is expected of topics, by their full names; mistakes are reported."""
     found: dict[str, Expectation] = {}
-    if at is None:
-        return found
-    if not isinstance(at.node, Mapping):
-        at.expected("a mapping of topics to what is expected of them")
-        return found
-    for entry, value in at.entries():
+    for entry, value in entries_of(at, "topics to what is expected of them"):
         section = validate_mapping(ExpectationSection, value)
         topic = f"/{entry.key.removeprefix('/')}"
         try:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from pydantic_core import CoreSchema, ErrorDetails
 
-    from play_launch.config.tree import Node
+    from play_launch.config.tree import Entry, Node
 
 JsonSchema = dict[str, Any]
 Value = TypeVar("Value")
@@ -202,6 +202,15 @@ def items_of(at: Cursor | None, what: str) -> Iterator[Cursor]:
         at.expected(f"a list of {what}")
         return
     yield from at.elements()
+
+
+def entries_of(at: Cursor | None, what: str) -> Iterator[tuple[Entry, Cursor]]:
+    if at is None:
+        return
+    if not isinstance(at.node, Mapping):
+        at.expected(f"a mapping of {what}")
+        return
+    yield from at.entries()
 
 
 def _plain(node: Node, schema: Any) -> object:

@@ -173,23 +173,14 @@ class Actions:
                             outcome = _STOPPING
                         if outcome is not None:
                             outcomes[target] = outcome
-                    if any(outcomes.values()) or len(outcomes) == len(targets):
+                    is_awaited = request.condition == "expected" and self._expectations.unmet
+                    is_done = len(outcomes) == len(targets) and not is_awaited
+                    if is_done or any(outcomes.values()):
                         return
                     await changed.wait()
 
-        async def until_all() -> None:
-            await until_up()
-            if request.condition == "expected" and not any(outcomes.values()):
-                await self._until_as_expected()
-
-        await _within(request.timeout, until_all(), targets, outcomes, self._expectations)
+        await _within(request.timeout, until_up(), targets, outcomes, self._expectations)
         return _results_or_failure(targets, outcomes)
-
-    async def _until_as_expected(self) -> None:
-        with self._state_changes() as changed:
-            while self._expectations.unmet:
-                changed.clear()
-                await changed.wait()
 
     def _expected(self) -> list[Target]:
         view = self._publisher.view

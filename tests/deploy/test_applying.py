@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -124,6 +125,19 @@ def test_a_stop_amid_a_change_leaves_nothing(net: Hosts, tmp_path: Path) -> None
             assert client.wait(40)
         assert hasty.process.wait(40) in {1, 130}, hasty.printed()
     assert not supervisors(net, 2)
+    assert not supervisors(net, 3)
+
+
+def test_a_machine_that_has_ended_is_started_again(net: Hosts, tmp_path: Path) -> None:
+    config = system(tmp_path, "ended")
+    with running(net, config) as ended:
+        ended.loaded()
+        (supervisor,) = supervisors(net, 3)
+        os.kill(supervisor, signal.SIGINT)
+        until(lambda: ended.rows()["/ticks"]["state"] == "ended", "the end of its session")
+        ended.ask("apply", str(config))
+        assert ended.rows()["/listener"]["state"] == "loaded"
+        ended.stop()
     assert not supervisors(net, 3)
 
 

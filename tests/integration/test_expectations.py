@@ -5,11 +5,17 @@ from __future__ import annotations
 import json
 import os
 import signal
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from unittest.mock import ANY
 
 import pytest
 
+from play_launch.cli.expect import learned
+from play_launch.config.load import load_config
+from play_launch.control.protocol import OperationError
+from play_launch.control.sessions import connect
+from play_launch.supervisor.expectations import Measured
 from tests.support.replay import replaying, run
 from tests.support.scenes import node, written
 
@@ -83,3 +89,38 @@ def test_what_measures_may_die(tmp_path: Path) -> None:
         )
         replay.ask("unload", "talker", code=0)
         replay.until(event="expectation", is_met=False)
+
+
+def test_units_and_topics_are_waited_for_at_the_same_moment(tmp_path: Path) -> None:
+    containers = [
+        {
+            "name": "c",
+            "container_type": "isolated",
+            "composable_nodes": [node("talker", on_crash="ignore")],
+        }
+    ]
+    config = written(tmp_path, expect={"/never": {"publishers": 1}}, containers=containers)
+    with replaying(config, tmp_path / "logs") as replay:
+        replay.read_until_up("/talker")
+        replay.until_operable()
+        with connect(str(replay.pid)) as client, ThreadPoolExecutor() as pool:
+            asked = {"for": "expected", "timeout": 5.0}
+            waiting = pool.submit(client.ask, "wait", asked, limit=60.0)
+            # It has been handled when this is answered.
+            assert not replay.ask("expect", "--json", code=1).stderr
+            os.kill(replay.pids()["/talker"], signal.SIGSEGV)
+            with pytest.raises(OperationError, match="not done within 5 s: /talker"):
+                waiting.result(60)
+
+
+@pytest.mark.parametrize(
+    ("gap", "rate"), [(2e-6, 300_000.0), (0.011, 90.0), (0.4, 3.0), (250.0, 0.01)]
+)
+def test_what_is_learned_is_a_configuration(tmp_path: Path, gap: float, rate: float) -> None:
+    seconds = 10 / rate
+    found = Measured("/a", "a/msg/B", 1, 1, 0, 10, round(gap * 1e9), round(seconds * 1e9))
+    values = learned([found])
+    config = written(tmp_path, expect={"/a": values}, nodes=[{"name": "x", "command": ["x"]}])
+    (read,) = load_config(config).expect.values()
+    assert gap < read.max_gap <= 3.1 * gap + 0.001
+    assert read.min_rate == pytest.approx(0.8 * rate, rel=0.05)

@@ -7,6 +7,10 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from play_launch.cli.diagnostics import _of_unit
+from tests.cli.top.rows import row
 from tests.support.replay import COMMAND, Replay, recorded, replaying, run
 from tests.support.scenes import node, written
 
@@ -15,6 +19,15 @@ def statuses(replay: Replay) -> list[dict[str, Any]]:
     """Give the arrays in a recording, by the names of the statuses."""
     arrays = recorded(replay.bag, "/diagnostics")
     return [{each.name: each for each in array.status} for array in arrays]
+
+
+@pytest.mark.parametrize(
+    ("state", "level"),
+    [("running", 0), ("stopped", 0), ("starting", 1), ("gave up", 2), ("unreachable", 3)],
+)
+def test_levels_follow_from_states(state: str, level: int) -> None:
+    found = _of_unit(row("/a", state, machine="h3"))
+    assert (found.level, found.hardware_id) == (bytes([level]), "h3")
 
 
 def test_units_and_topics_have_their_statuses(tmp_path: Path) -> None:

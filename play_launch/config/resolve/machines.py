@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.config.machines import MachineConfig
 from play_launch.config.problems import excerpt
-from play_launch.config.section import validate_mapping
+from play_launch.config.section import entries_of, validate_mapping
 from play_launch.config.sections import MachineSection
 from play_launch.config.source import path_from
 from play_launch.config.text import similar
-from play_launch.config.tree import Mapping as MappingNode
 from play_launch.config.values import resolve_environment
 
 if TYPE_CHECKING:
@@ -35,12 +34,7 @@ _REMOTE_KEYS: Final = (
 def machines_at(at: Cursor | None) -> dict[str, MachineConfig]:
     """Return the machines that stand there; mistakes are reported."""
     found: dict[str, MachineConfig] = {}
-    if at is None:
-        return found
-    if not isinstance(at.node, MappingNode):
-        at.expected("a mapping of names of machines to their keys")
-        return found
-    for entry, value in at.entries():
+    for entry, value in entries_of(at, "names of machines to their keys"):
         section = validate_mapping(MachineSection, value)
         variables = resolve_environment(value.value("environment"))
         if not (entry.key.isascii() and entry.key.isidentifier()):
@@ -49,7 +43,7 @@ def machines_at(at: Cursor | None) -> dict[str, MachineConfig]:
         elif section is not None:
             found[entry.key] = _machine(entry.key, section, value, variables)
     local = [each.name for each in found.values() if each.local]
-    if len(local) > 1:
+    if at is not None and len(local) > 1:
         at.below(local[1]).problem(f"only one machine is local, and {local[0]} is")
     return found
 

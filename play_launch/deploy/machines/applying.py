@@ -50,8 +50,8 @@ class Applying:
         if request.text is not None:
             text = "a launch file has no machines; write it with dump first"
             raise OperationError(Code.BAD_ARGUMENTS, text)
-        change = _Change(self._coordinator, target, request, caller)
         ended: asyncio.Queue[dict[str, Any] | None] = asyncio.Queue()
+        change = _Change(self._coordinator, target, request, caller, ended.put_nowait)
         try:
             await change.compare()
             if request.dry_run:
@@ -64,7 +64,7 @@ class Applying:
             change.close()
             raise
         # It is carried out to its end also when the client disconnects.
-        self._task = task = asyncio.create_task(change.carry_out(ended.put_nowait))
+        self._task = task = asyncio.create_task(change.carry_out())
 
         def close(task: asyncio.Task[dict[str, Any]]) -> None:
             ended.put_nowait(None)
@@ -90,6 +90,7 @@ class _Change:
         target: ReplayConfig,
         request: ChangeRequest,
         caller: Caller,
+        report: Report,
     ) -> None:
         self._coordinator = coordinator
         self._target = target
@@ -102,7 +103,7 @@ class _Change:
         """By machine."""
         self._outcomes: list[dict[str, Any]] = []
         self._failures: list[str] = []
-        self._report: Report = self._outcomes.append
+        self._report = report
 
     @property
     def plan(self) -> dict[str, Any]:
@@ -178,9 +179,8 @@ class _Change:
         del values["text"], values["environment"]
         return values
 
-    async def carry_out(self, report: Report) -> dict[str, Any]:
+    async def carry_out(self) -> dict[str, Any]:
         """Stop what is removed, then change and add; return all outcomes. Raises OperationError."""
-        self._report = report
         async with anyio.create_task_group() as tasks:
             for part in self._removed:
                 tasks.start_soon(self._remove, part)
