@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import TYPE_CHECKING, Any, Final
 
 import anyio
@@ -48,7 +47,7 @@ class ParameterSetter:
         """Release the nodes."""
         used, self._used = self._used, set()
         for thread in used:
-            await asyncio.to_thread(node_pool.release, thread)
+            await node_pool.leave(thread)
 
 
 async def _set(ros: RosThread, node: str, parameters: Sequence[ParameterConfig]) -> str:

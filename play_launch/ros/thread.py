@@ -317,8 +317,17 @@ class NodePool:
         try:
             yield thread
         finally:
-            with anyio.CancelScope(shield=True):
-                await asyncio.to_thread(self.release, thread)
+            await self.leave(thread)
+
+    async def leave(self, thread: RosThread) -> None:
+        """End a use as `release` does, also when this is cancelled.
+
+        Not even before an executor thread is free for it: a thread of ROS that lives when Python
+        ends aborts the process.
+        """
+        released = asyncio.get_running_loop().run_in_executor(None, self.release, thread)
+        with anyio.CancelScope(shield=True):
+            await asyncio.shield(released)
 
 
 node_pool: Final = NodePool()

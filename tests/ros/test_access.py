@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, asynccontextmanager, closing
 from functools import partial
 from pathlib import Path
@@ -306,3 +307,32 @@ async def test_a_domain_that_could_not_be_joined_is_joined_the_next_time(
     assert "no space" in await setter.set("/n", [RATE], {})
     assert "joined" in await setter.set("/n", [RATE], {})
     await setter.close()
+
+
+async def test_a_use_that_is_cancelled_twice_leaves_no_thread() -> None:
+    pool = NodePool()
+    loop = asyncio.get_running_loop()
+    executor = ThreadPoolExecutor(1)
+    loop.set_default_executor(executor)
+    is_free = threading.Event()
+    used: asyncio.Future[RosThread] = loop.create_future()
+
+    async def use() -> None:
+        async with pool.used({}) as thread:
+            used.set_result(thread)
+            await asyncio.Event().wait()
+
+    task = asyncio.create_task(use())
+    thread = await used
+    await asyncio.to_thread(thread.until_started)
+    # The thread that is to end the use is not to be had yet, as on a busy machine.
+    busy = executor.submit(is_free.wait)
+    for _ in range(3):
+        task.cancel()
+        await asyncio.sleep(0)
+    is_free.set()
+    await asyncio.gather(task, return_exceptions=True)
+    busy.result()
+    await loop.shutdown_default_executor()
+    assert thread.has_ended
+    assert not thread._thread.is_alive()
