@@ -13,6 +13,7 @@ CLOCK_METADATA: Final = "play_launch.clock"
 """Metadata record after each jump: ``ahead_ns``, by which the system clock is ahead since then."""
 _JUMP_NS: Final = 100_000_000
 """A smaller difference is not noticed."""
+_READINGS: Final = 5
 
 
 _boot_time_ns: Final = partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME)
@@ -27,7 +28,10 @@ class SessionClock:
     ) -> None:
         self._wall = wall
         self._steady = steady
-        self.offset_ns = wall() - steady()
+        readings = ((steady(), wall(), steady()) for _ in range(_READINGS))
+        # Where the processor was taken away in between, log times would be off by as much.
+        before, now, after = min(readings, key=lambda each: each[2] - each[0])
+        self.offset_ns = now - (before + after) // 2
         """What is added to the time since boot; `topic_recorder` does the same."""
         self.ahead_ns = 0
         """By how much the system clock is ahead, since its last jump."""

@@ -116,3 +116,21 @@ def test_slewing_is_no_jump() -> None:
     machine.ahead += SECOND
     assert machine.clock.jump_ns() == SECOND + 100 * 500_000
     assert machine.clock.jump_ns() == 0
+
+
+def test_a_pause_between_the_two_clocks_moves_no_time() -> None:
+    """As on a busy machine, where another process runs between two readings."""
+    now = iter(range(0, 1_000_000, 100))
+    pauses = iter([5_000_000, 0, 7_000_000])
+    paused = 0
+
+    def wall() -> int:
+        nonlocal paused
+        seen = next(now) + paused
+        paused += next(pauses, 0)
+        return seen + 50 * SECOND
+
+    def steady() -> int:
+        return next(now) + paused
+
+    assert abs(SessionClock(wall, steady).offset_ns - 50 * SECOND) < 1_000
