@@ -55,10 +55,15 @@ class BadReplyError(DaemonError):
 
 
 class RemoteError(DaemonError):
-    """The daemon answered with a fault."""
+    """The daemon answered with a fault; ros2cli's does to methods that only ours has."""
 
-    def __init__(self, method: str, text: str) -> None:
-        super().__init__(f"the daemon could not answer {method}: {text}")
+    def __init__(self, method: str, text: str, domain: int) -> None:
+        super().__init__(
+            f"ros2cli's daemon serves ROS domain {domain}; replace it with "
+            "'play-launch daemon start'"
+            if f'"{method}" is not supported' in text
+            else f"the daemon could not answer {method}: {text}"
+        )
         self.text = text
 
 
@@ -140,15 +145,7 @@ class GraphClient:
                 raise DaemonError(f"{_place(self._address)}: {error.strerror or error}") from None
 
     def _query(self, method: str, *arguments: str) -> list[Any]:
-        try:
-            text = self.call(JSON_METHOD, method, *arguments)
-        except RemoteError as error:
-            if f'"{JSON_METHOD}" is not supported' in error.text:
-                raise DaemonError(
-                    f"ros2cli's daemon serves ROS domain {self._address.domain}; replace it with "
-                    "'play-launch daemon start'"
-                ) from None
-            raise
+        text = self.call(JSON_METHOD, method, *arguments)
         try:
             rows: list[Any] = json.loads(text)
             # A node has three texts with its enclave, anything else a name and a list of types.
@@ -195,7 +192,7 @@ class GraphClient:
         found = _TEXT.search(body)
         text = _unescaped(found[1].decode("utf-8", "replace")) if found else ""
         if b"<fault>" in body[:200]:
-            raise RemoteError(method, text)
+            raise RemoteError(method, text, self._address.domain)
         return text
 
 

@@ -103,6 +103,9 @@ def test_ros2clis_daemon_is_reported_and_stopped(address: DaemonAddress) -> None
         assert code == 0
         assert out == f"ros2cli's own daemon runs for domain {address.domain} (pid {process.pid})\n"
         assert json.loads(command("status", "--json")[1])["daemon"] == "ros2cli"
+        for words in (["graph", "check"], ["node", "list"]):
+            refused = run(*words, code=1).stderr
+            assert "replace it with 'play-launch daemon start'" in refused
         assert command("stop")[1] == f"ros2cli's daemon of domain {address.domain} was stopped\n"
         assert process.wait(60) == 0
 
