@@ -161,17 +161,34 @@ def without_network(picture: str) -> str:
 
 
 def web(folder: Path) -> None:
-    """The page of a running session."""
+    """The page of a running session, what it found, and one unit."""
     with (
         tempfile.TemporaryDirectory() as place,
         running(ROOT / CRASHING, Path(place) / "logs", NODES) as run,
-        serving("--session", run.pid) as server,
+        serving("--session", run.pid, "--allow-control", count=2) as server,
         Browser(_browser(), Path(place) / "profile") as browser,
     ):
         browser.size(*WEB_SIZE)
-        browser.call("Page.navigate", url=server.url)
+        browser.call("Page.navigate", url=server.invitations[-1])
         time.sleep(CRASHES)
         browser.picture(folder / "web.png")
+        browser.run("document.querySelector('.q-expansion-item .q-item').click()")
+        browser.until("document.body.innerText.includes('Backtrace:')")
+        labels = "document.querySelectorAll('.q-expansion-item .nicegui-column div')"
+        without = f"each.textContent = each.textContent.replaceAll('{ROOT}/', '')"
+        browser.run(f"{labels}.forEach((each) => {{ {without} }})")
+        browser.run("document.querySelector('.q-table__container').remove()")
+        browser.picture(folder / "web-findings.png")
+        browser.call("Page.reload")
+        unit = (
+            "[...document.querySelectorAll('button')].find((each) => /talker/.test(each.innerText))"
+        )
+        browser.until(f"{unit} !== undefined")
+        browser.run(f"{unit}.click()")
+        browser.until("document.querySelector('.q-dialog').innerText.includes('Declared')")
+        browser.run("document.querySelector('.q-dialog .q-expansion-item .q-item').click()")
+        browser.until("document.querySelector('.q-dialog').innerText.includes('New value')")
+        browser.picture(folder / "web-unit.png")
 
 
 def report(folder: Path) -> None:

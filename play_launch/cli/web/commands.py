@@ -64,6 +64,10 @@ class Commands:
             await self._run(words, {0, _NOT_WHOLE})
             return await asyncio.to_thread(output.read_bytes)
 
+    async def explain(self, folder: str) -> list[str]:
+        """Return what went wrong in a session so far, a text each; raises CommandError."""
+        return (await self._run(["explain", "--", folder], {0, 1, _NOT_WHOLE})).split("\n\n")
+
     async def check_graph(self) -> list[dict[str, Any]]:
         """Return the problems of the session's graph: kind, name, text; raises CommandError."""
         environment = await asyncio.to_thread(self._session_environment)

@@ -19,7 +19,7 @@ from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, Operation
 from play_launch.control.units import Health, health, target_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Awaitable, Callable, Iterable
 
     from nicegui.events import GenericEventArguments, ValueChangeEventArguments
 
@@ -70,6 +70,8 @@ _CPU: Final = """
 _LAST: Final = """
 <q-td :props="props"><div class="ellipsis" style="max-width: 40vw">{{ props.value }}</div></q-td>
 """
+_TEXT: Final = "overflow-wrap: anywhere; white-space: pre-wrap"
+_HEADING: Final = 'role="heading" aria-level="1"'
 PROBLEMS_FIRST: Final = "problems first"
 
 
@@ -85,15 +87,17 @@ def declare(watch: Watch, commands: Commands) -> None:
         _style()
         with ui.header().classes("items-center"):
             ui.link("play-launch", "/").classes("text-white text-h6")
-        ui.label("Sessions, the newest first").classes("text-h6")
+        ui.label("Sessions, the newest first").classes("text-h6").props(_HEADING)
         for entry in await commands.sessions():
             with ui.row().classes("items-center"):
-                ui.link(entry.name, f"/report/{entry.name}", new_tab=True)
+                link = ui.link(entry.name, f"/report/{entry.name}", new_tab=True)
+                link.style("color: inherit; text-decoration: underline")
                 ui.label(f"{size(entry.size)}{', running' if entry.is_running else ''}")
 
 
 def _style() -> None:
     ui.dark_mode(value=None)
+    ui.add_head_html("<script>document.documentElement.lang = 'en'</script>")
     ui.colors(primary="#0d47a1")
 
 
@@ -111,7 +115,7 @@ class _Page:
         client.on_connect(watch.enter)
         client.on_disconnect(watch.leave)
         with ui.header().classes("items-center bg-primary"):
-            self._title = ui.label().classes("text-h6")
+            self._title = ui.label().classes("text-h6").props(_HEADING)
             self._counts = ui.label()
             ui.space()
             ui.label("" if self._may_act else "read only")
@@ -129,8 +133,8 @@ class _Page:
         for name, template in slots.items():
             self._table.add_slot(f"body-cell-{name}", template)
         self._table.on("open", self._open)
-        with ui.expansion("Connections", on_value_change=self._check).classes("w-full") as found:
-            self._connections = found
+        _panel("Findings", "The recording is being read …", self._findings)
+        _panel("Connections", "Its ROS graph is being looked through …", self._unconnected)
         with ui.expansion("Topics", on_value_change=self._show_topics).classes("w-full"):
             self._topics = ui.grid(columns="auto auto auto 1fr").classes("gap-x-4")
         self._asking = ui.timer(_ASK, self._draw_topics, active=False)
@@ -181,21 +185,12 @@ class _Page:
             "last": self._watch.last.last.get(target, "")[:200],
         }
 
-    async def _check(self, event: ValueChangeEventArguments[bool]) -> None:
-        if not event.value:
-            return
-        self._connections.clear()
-        with self._connections:
-            ui.label("What does not connect in the ROS graph is being looked for …")
-        try:
-            found = [(each["name"], each["text"]) for each in await self._commands.check_graph()]
-        except CommandError as error:
-            found = [("", str(error))]
-        self._connections.clear()
-        with self._connections, ui.grid(columns="auto 1fr").classes("gap-x-4"):
-            for name, text in found or [("", "everything connects")]:
-                ui.label(model.clean(name)).classes("text-weight-bold")
-                ui.label(model.clean(text)).style("overflow-wrap: anywhere")
+    async def _findings(self) -> list[tuple[str, str]]:
+        return [("", each) for each in await self._commands.explain(self._watch.folder)]
+
+    async def _unconnected(self) -> list[tuple[str, str]]:
+        found = [(each["name"], each["text"]) for each in await self._commands.check_graph()]
+        return found or [("", "everything connects")]
 
     async def _show_topics(self, event: ValueChangeEventArguments[bool]) -> None:
         self._asking.active = event.value
@@ -227,6 +222,30 @@ class _Page:
         self._story = None
 
 
+def _panel(title: str, waiting: str, ask: Callable[[], Awaitable[list[tuple[str, str]]]]) -> None:
+    """Add what is asked for when it is opened: names with texts of any number of lines."""
+
+    async def show(event: ValueChangeEventArguments[bool]) -> None:
+        if not event.value:
+            return
+        panel.clear()
+        with panel:
+            ui.label(waiting)
+        try:
+            rows = await ask()
+        except (CommandError, OperationError) as error:
+            rows = [("", str(error))]
+        panel.clear()
+        with panel, ui.grid(columns="auto 1fr").classes("gap-x-4"):
+            for name, text in rows:
+                ui.label(model.clean(name)).classes("text-weight-bold")
+                with ui.column().classes("gap-0"):
+                    for line in text.splitlines():
+                        ui.label(model.clean(line)).style(_TEXT)
+
+    panel = ui.expansion(title, on_value_change=show).classes("w-full")
+
+
 class _Story:
     """All about one unit, in a dialog, with what may be done to it."""
 
@@ -248,7 +267,8 @@ class _Story:
             self._dialog.on("hide", self._dialog.delete)
             self._dialog.on("hide", closed)
             with ui.row().classes("items-center w-full"):
-                ui.label(model.clean(row.name)).classes("text-h6")
+                title = ui.label(model.clean(row.name)).classes("text-h6")
+                self._dialog.props(f'aria-labelledby="{title.html_id}"')
                 ui.space()
                 ui.button(icon="close", on_click=self._dialog.close).props(
                     'flat dense aria-label="close"'
@@ -355,7 +375,7 @@ class _Log:
             self._level.classes("w-28")
             self._text = ui.input("Lines with", on_change=self._again).props("clearable")
         self._lines = ui.log(max_lines=_MOST_LINES).classes("w-full").style("height: 16rem")
-        self._lines.props('tabindex="0" aria-label="log"')
+        self._lines.props('tabindex="0" role="log" aria-label="log"')
 
     def _again(self) -> None:
         self._lines.clear()

@@ -9,10 +9,12 @@ import signal
 from collections.abc import Iterator
 from pathlib import Path
 
+import axe_core_python
 import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
 from benchmarks.browser import Browser, find_browser
+from play_launch.cli.web.watch import Watch
 from tests.cli.web.server import Server, serving
 from tests.cli.web.test_access import answers
 from tests.support.replay import Replay, replaying, run
@@ -80,6 +82,11 @@ def click(browser: Browser, label: str) -> None:
     browser.run(f"{button}.click()")
 
 
+def unfold(browser: Browser, title: str) -> None:
+    heads = "[...document.querySelectorAll('.q-expansion-item .q-item')]"
+    browser.run(f"{heads}.find((each) => each.innerText.includes('{title}')).click()")
+
+
 def visit(browser: Browser, server: Server) -> None:
     until(lambda: answers(server), "the page")
     browser.call("Page.navigate", url=server.invitations[-1])
@@ -122,12 +129,19 @@ def test_sessions_have_their_reports(session: Replay) -> None:
             assert server.status(f"/report/{other}") in {404, 503}
 
 
+def test_tokens_that_a_page_printed_are_not_shown_by_it() -> None:
+    watch = Watch(None)
+    event = {"event": "output", "source": "/page", "stamp_ns": 1, "level": 0}
+    watch.on_line({**event, "text": "http://127.0.0.1:8080/?token=pZ-_x9 (to act)"})
+    assert [line.text for _, line in watch.lines] == ["http://127.0.0.1:8080/?token=… (to act)"]
+
+
 @needs_browser
 def test_the_connections_are_checked(session: Replay, browser: Browser) -> None:
     with serving("--session", session.pid) as server:
         visit(browser, server)
         try:
-            browser.run("document.querySelector('.q-expansion-item .q-item').click()")
+            unfold(browser, "Connections")
             browser.until("document.body.innerText.includes('everything connects')")
         finally:
             run("daemon", "stop", code=0)
@@ -138,7 +152,7 @@ def test_topics_are_compared_with_what_is_expected(session: Replay, browser: Bro
     session.until(event="expectation", topic="/chatter", is_met=True)
     with serving("--session", session.pid) as server:
         visit(browser, server)
-        browser.run("document.querySelectorAll('.q-expansion-item .q-item')[1].click()")
+        unfold(browser, "Topics")
         browser.until("document.body.innerText.includes('as expected')")
         session.ask("unload", "talker", code=0)
         browser.until("document.body.innerText.includes('0 publishers instead of 1')")
@@ -157,6 +171,9 @@ def test_a_crash_appears_and_a_click_reloads(session: Replay, browser: Browser) 
         click(browser, "reload")
         browser.until("document.body.innerText.includes('/talker reloaded')")
         browser.until("document.querySelector('.q-dialog').innerText.includes('publishing')")
+        unfold(browser, "Findings")
+        browser.until("document.body.innerText.includes('/talker in /chat crashed at')")
+        browser.until("document.body.innerText.includes('Cause: SIGSEGV')")
         assert not browser.errors
 
 
@@ -166,13 +183,30 @@ def test_parameters_are_shown_and_set(session: Replay, browser: Browser) -> None
         visit(browser, server)
         click(browser, "/talker")
         browser.until(f"{DIALOG}.innerText.includes('Declared')")
-        browser.run(f"{DIALOG}.querySelector('.q-expansion-item .q-item').click()")
+        unfold(browser, "Parameters")
         browser.until(f"/rate\\s+10.0?\\s/.test({DIALOG}.innerText)")
         field = f"{DIALOG}.querySelector('[aria-label=\"New value\"]')"
         browser.run(f"{field}.value = '4.0', {field}.dispatchEvent(new Event('input'))")
         click(browser, "SET")
         browser.until(f"/rate\\s+4.0?\\s/.test({DIALOG}.innerText)")
     assert session.ask("param", "get", "/talker", "rate").stdout.strip() == "4.0"
+
+
+@needs_browser
+def test_it_is_accessible(session: Replay, browser: Browser) -> None:
+    script = Path(axe_core_python.__file__).with_name("axe.min.js").read_text(encoding="utf-8")
+    found = "axe.run().then((all) => all.violations.map((each) => [each.id, each.nodes[0].html]))"
+    with serving("--session", session.pid, "--allow-control", count=2) as server:
+        visit(browser, server)
+        browser.run(f"{script};0")
+        assert browser.run(found) == []
+        click(browser, "/talker")
+        browser.until(f"{DIALOG}.innerText.includes('Declared')")
+        assert browser.run(found) == []
+        browser.call("Page.navigate", url=server.invitations[-1].replace("?", "sessions?"))
+        browser.until("document.body.innerText.includes(', running')")
+        browser.run(f"{script};0")
+        assert browser.run(found) == []
 
 
 @needs_browser
