@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     Fields = dict[str, Any]
     """Those of a `StateEvent`."""
 
+_DECIDED: Final = frozenset(
+    {SubjectKind.NODE, SubjectKind.CONTAINER, SubjectKind.PROCESS, SubjectKind.MANAGED}
+)
 _OLD: Final = "it holds no inputs: an older version recorded it, or its beginning is missing"
 _FOREIGN: Final = ": another version recorded inputs that this one does not know"
 _NO_END: Final = "its end is missing"
@@ -102,7 +105,8 @@ def _recorded(session: PastSession) -> RecordedInputs:
             elif message.sequence != topics.REPEATED:
                 # Earlier versions wrote no causes.
                 fields = STATE_EVENT.read(message.data + bytes(32))
-                if fields["kind"] not in {SubjectKind.RECORDING, SubjectKind.MACHINE}:
+                is_guest = fields["unique_id"] and not fields["attempt"]
+                if fields["kind"] in _DECIDED and not is_guest:
                     states.append(fields)
         except (CdrError, UnreadableInputError) as error:
             foreign = foreign or (_FOREIGN if isinstance(error, UnreadableInputError) else "")

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from msgspec import Struct
 
-from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
+from play_launch.config.node_key import NodeKey
+from play_launch.supervisor.events import (
+    ComponentEvent,
+    ComponentEventKind,
+    NodeState,
+    NodeStateChanged,
+)
 from play_launch.supervisor.outcome import Cause
 
 if TYPE_CHECKING:
@@ -143,6 +149,21 @@ def cause_of(event: ComponentEvent) -> Cause:
         return Cause.SIGNAL
     has_exited = event.exit_code or event.kind is ComponentEventKind.CRASHED
     return Cause.EXIT_STATUS if has_exited else Cause.NONE
+
+
+def state_of_guest(event: ComponentEvent) -> NodeStateChanged:
+    """Give the state of a node that another program loaded, of which nothing is decided."""
+    return NodeStateChanged(
+        stamp_ns=event.stamp_ns,
+        key=NodeKey(event.container, event.full_node_name or f"/[{event.plugin_name}]"),
+        state=NodeState[event.kind.name],
+        reason=event.error_message or "by another program",
+        cause=cause_of(event),
+        pid=event.pid,
+        start_time=event.start_time,
+        unique_id=event.unique_id,
+        crashes=int(event.kind is ComponentEventKind.CRASHED),
+    )
 
 
 def lock_holder(dead_lock: str) -> int:

@@ -40,6 +40,7 @@ from play_launch.supervisor.events import (
     SystemSample,
     Withdrawn,
 )
+from play_launch.supervisor.view import loaded_by_others
 
 OWN_NAME = "play-launch"
 _ERRORS = frozenset(
@@ -95,8 +96,10 @@ def words_of(event: RunEvent) -> EventText:
         case ComponentEvent():
             is_bad = event.kind in {ComponentEventKind.LOAD_FAILED, ComponentEventKind.CRASHED}
             text = because(event.kind.name.lower().replace("_", " "), event.error_message)
-            lines = [text, *(f"  {frame}" for frame in event.backtrace)]
             source = event.full_node_name or event.plugin_name
+            if loaded_by_others(event):
+                text, source = f"{source}, of another program, {text}", event.container
+            lines = [text, *(f"  {frame}" for frame in event.backtrace)]
             return EventText(ERROR if is_bad else INFO, source, "\n".join(lines))
         case OutputLine():
             return EventText(line_level(event), event.process, event.text)

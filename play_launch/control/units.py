@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from play_launch.config.node_key import NodeKey
 from play_launch.config.text import listed, similar
+from play_launch.container.messages import state_of_guest
 from play_launch.control.messages import Managed, UnitRow, UnitStatus
 from play_launch.control.protocol import Code, OperationError
 from play_launch.process.cgroups.usage import group_of, usage_of
@@ -236,6 +237,8 @@ def _of_container(
     )
     for node in container.nodes.values():
         yield _of_node(node, container, view, samples)
+    for guest in map(state_of_guest, container.guests.values()):
+        yield _of_node(guest, container, view, samples)
 
 
 def _of_node(

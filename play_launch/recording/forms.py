@@ -18,6 +18,7 @@ from play_launch.container.cdr.messages import (
     SYSTEM_STATS,
     log_message,
 )
+from play_launch.container.messages import state_of_guest
 from play_launch.recording import topics
 from play_launch.recording.console_format import ERROR, WARN, line_level
 from play_launch.recording.topics import Topic
@@ -51,6 +52,7 @@ from play_launch.supervisor.events import (
     Withdrawn,
 )
 from play_launch.supervisor.outcome import Cause, Sequel
+from play_launch.supervisor.view import loaded_by_others
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -364,7 +366,9 @@ def convert(event: RunEvent) -> tuple[TopicMessage, ...]:
             return (everything, TopicMessage(topics.LOG, data))
         case ComponentEvent() if event.received:
             # As its container sent it.
-            return (TopicMessage(topics.COMPONENT_EVENTS, event.received),)
+            received = TopicMessage(topics.COMPONENT_EVENTS, event.received)
+            is_guest = loaded_by_others(event)
+            return (received, _NODE.message(state_of_guest(event))) if is_guest else (received,)
     return (_FORMS[type(event)].message(event),)
 
 

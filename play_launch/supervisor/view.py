@@ -19,6 +19,8 @@ from play_launch.supervisor.events import (
     UNDER_WAY,
     ActionEvent,
     ActionPhase,
+    ComponentEvent,
+    ComponentEventKind,
     ContainerState,
     ContainerStateChanged,
     ManagedNodeChanged,
@@ -64,6 +66,11 @@ def has_failed(process: ProcessEvent) -> bool:
     if process.kind is ProcessEventKind.GAVE_UP:
         return True
     return process.kind is ProcessEventKind.EXITED and not has_ended_well(process)
+
+
+def loaded_by_others(event: ComponentEvent) -> bool:
+    """Whether it is about a node that another program loaded, as `ros2 component load` does."""
+    return bool(event.unique_id) and not event.attempt
 
 
 class _Nodes(Struct, frozen=True, kw_only=True):
@@ -120,6 +127,8 @@ class ContainerView(_Nodes, frozen=True, kw_only=True):
     """The latest of its process, as in `SystemView.processes`."""
     nodes: Mapping[NodeKey, NodeStateChanged] = field(default_factory=_empty)
     """The latest state of each node; its stamp is that of the first event with that state."""
+    guests: Mapping[str, ComponentEvent] = field(default_factory=_empty)
+    """Nodes by name that other programs have loaded; they count nowhere."""
 
     def _all(self) -> Iterable[NodeStateChanged]:
         return self.nodes.values()
@@ -195,9 +204,17 @@ class SystemView(_Nodes, frozen=True, kw_only=True):
         match event:
             case NodeStateChanged():
                 return self._with_container(_node_changed(self._container(event.container), event))
+            case ComponentEvent() if loaded_by_others(event):
+                container = self._container(event.container)
+                guests = _less(container.guests, {event.full_node_name})
+                if event.kind is ComponentEventKind.LOADED:
+                    guests = _with(guests, event.full_node_name, event)
+                return self._with_container(replace(container, guests=guests))
             case ContainerStateChanged():
+                container = self._container(event.container)
                 container = replace(
-                    self._container(event.container),
+                    container,
+                    guests=container.guests if event.state is ContainerState.RUNNING else _empty(),
                     state=event.state,
                     stamp_ns=event.stamp_ns,
                     reason=event.reason,

@@ -232,6 +232,52 @@ def test_a_slow_constructor_blocks_nobody(probe: Probe) -> None:
     assert not slow.done()
 
 
+GUESTS = """\
+version: 1
+name: host
+environment: {ROS_AUTOMATIC_DISCOVERY_RANGE: LOCALHOST}
+containers:
+  - name: container
+    container_type: isolated
+    composable_nodes:
+      - {package: play_launch_demo, plugin: "play_launch_demo::Listener", name: listener}
+"""
+
+
+def test_what_others_load_is_seen_and_not_supervised(tmp_path: Path, probe: Probe) -> None:
+    config = tmp_path / "host.yaml"
+    config.write_text(GUESTS)
+    with replaying(config, tmp_path / "logs") as replay:
+        replay.read_until_up("/listener")
+        guest = probe.load("Talker", node_name="guest")
+        replay.read_until(
+            is_(event="component", full_node_name="/guest", kind="loaded"), "the guest"
+        )
+        rows = {row["name"]: row for row in json.loads(replay.ask("ps", "--json", code=0).stdout)}
+        assert list(rows) == ["/container", "/listener", "/guest"]
+        assert (rows["/guest"]["state"], rows["/guest"]["reason"]) == (
+            "loaded",
+            "by another program",
+        )
+        assert replay.ask("reload", "/guest").returncode != 0
+        os.kill(rows["/guest"]["pid"], signal.SIGSEGV)
+        replay.until(event="component", kind="crashed")
+        assert "/guest" not in replay.ask("ps", code=0).stdout
+        again = probe.load("Talker", node_name="guest")
+        assert again.unique_id != guest.unique_id
+        probe.load("Echo", node_name="other")
+        probe.unload(again.unique_id)
+        replay.ask("restart", "/container", code=0)
+        names = [row["name"] for row in json.loads(replay.ask("ps", "--json", code=0).stdout)]
+        assert names == ["/container", "/listener"], "it is gone with its container"
+        replay.process.send_signal(signal.SIGINT)
+        replay.read_all()
+    found = json.loads(run("explain", "--json", tmp_path / "logs" / "latest", code=1).stdout)
+    assert [(each["name"], each["kind"]) for each in found["findings"]] == [("/guest", "crashed")]
+    assert "SIGSEGV" in found["findings"][0]["cause"]
+    run("rerun", tmp_path / "logs" / "latest", code=0)
+
+
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "my_robot"
 GUIDE = ROOT / "docs" / "components.md"

@@ -73,6 +73,7 @@ def test_a_topic_is_measured_reported_and_waited_for(tmp_path: Path) -> None:
     found = json.loads(run("explain", "--json", replay.bag, code=1).stdout)["findings"]
     (finding,) = [each for each in found if each["kind"] == "not_as_expected"]
     assert finding["name"] == "/chatter"
+    assert "as recorded" in run("rerun", replay.bag, code=0).stdout
 
 
 def test_what_measures_may_die(tmp_path: Path) -> None:

@@ -15,6 +15,8 @@ from play_launch.recording.log_handler import REPORTED_LOGGER
 from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,
+    ComponentEvent,
+    ComponentEventKind,
     ContainerState,
     ContainerStateChanged,
     ExpectationChanged,
@@ -29,6 +31,7 @@ from play_launch.supervisor.events import (
     RunEvent,
     Withdrawn,
 )
+from play_launch.supervisor.view import loaded_by_others
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -73,6 +76,9 @@ def _is_progress(event: RunEvent, before: SystemView, after: SystemView) -> bool
             return False
         case LogRecord() if event.level >= WARN and event.name != REPORTED_LOGGER:
             return False
+        case ComponentEvent() if event.kind is not ComponentEventKind.LOADING:
+            is_news = loaded_by_others(event) and not _was_stopping(event.container, before)
+            return False if is_news else None
         case NodeStateChanged():
             return _is_node_progress(event, before, after)
         case ContainerStateChanged(state=ContainerState.STARTING) if event.reason:
