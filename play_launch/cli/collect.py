@@ -43,7 +43,8 @@ def collect(
 
     sources = [Source("", [each.path for each in parts_of(folder)], 0)]
     for name, about in machines.items():
-        files = [each.path for each in parts_of(folder / name)]
+        fetched = folder / name
+        files = [each.path for each in parts_of(fetched)] if fetched.is_dir() else []
         if files:
             sources.append(Source(name, files, about["offset_ns"] or 0))
         elif name not in missing:

@@ -216,6 +216,16 @@ containers:
 """
 
 
+def test_a_machine_that_is_gone_is_left_out_of_what_is_collected(bag: Path) -> None:
+    gone = {"local": True, "ssh": "", "folder": str(bag.parent / "gone"), "offset_ns": None}
+    (bag.parent / "machines.json").write_text(json.dumps({"h1": gone}))
+    found = run("collect", bag.parent, "--json", code=1)
+    assert "h1: its recording cannot be fetched" in found.stderr
+    collected = json.loads(found.stdout)
+    assert collected["missing"] == ["h1"]
+    run("info", collected["output"], code=0)
+
+
 def test_a_real_session_is_read_while_it_runs_and_afterwards(tmp_path: Path) -> None:
     config = tmp_path / "past.yaml"
     config.write_text(CONFIG, encoding="utf-8")
