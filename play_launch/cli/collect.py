@@ -37,18 +37,25 @@ def collect(
         machines = json.loads((folder / MACHINES).read_text())
     except (OSError, ValueError):
         fail(f"{folder} is no session of several machines: there is no {MACHINES}")
-    missing = asyncio.run(_fetch(machines, folder))
+    from play_launch.postmortem.archive import complete_files, session_entry  # noqa: PLC0415
     from play_launch.postmortem.merge import Source, merge  # noqa: PLC0415 - slow
     from play_launch.recording.folder import BAG_NAME, parts_of  # noqa: PLC0415
 
+    entry = session_entry(folder)
+    if entry is not None and entry.is_running:
+        fail(f"{folder}: the session still runs; collect it when it has ended")
+    complete_files(folder)
+    missing = asyncio.run(_fetch(machines, folder))
     sources = [Source("", [each.path for each in parts_of(folder)], 0)]
     for name, about in machines.items():
         fetched = folder / name
+        if fetched.is_dir() and complete_files(fetched):
+            warn(f"{name}: its recording is not finished, and is taken as far as it goes")
         files = [each.path for each in parts_of(fetched)] if fetched.is_dir() else []
         if files:
             sources.append(Source(name, files, about["offset_ns"] or 0))
         elif name not in missing:
-            warn(f"{name}: its recording is not finished, and is left out")
+            warn(f"{name}: it has recorded nothing")
             missing.append(name)
     target = output or folder / COLLECTED
     with whole_file(target) as half:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import socket
 import time
 from typing import TYPE_CHECKING
 
@@ -224,6 +225,35 @@ def test_a_machine_that_is_gone_is_left_out_of_what_is_collected(bag: Path) -> N
     collected = json.loads(found.stdout)
     assert collected["missing"] == ["h1"]
     run("info", collected["output"], code=0)
+
+
+def test_what_is_not_finished_is_collected_as_far_as_it_goes(tmp_path: Path) -> None:
+    """The supervisors of two machines, one of them the coordinator, were killed."""
+    coordinator, other = tmp_path / "one", tmp_path / "other"
+    for folder in (coordinator, other):
+        folder.mkdir()
+        bag = record(folder / "session.mcap", EVENTS)
+        cut = bag.read_bytes()[: bag.stat().st_size * 2 // 3]
+        bag.unlink()
+        (folder / "session.mcap.active").write_bytes(cut)
+        with socket.socket(socket.AF_UNIX) as left:
+            left.bind(str(folder / "control.sock"))
+    here = {"local": True, "ssh": "", "folder": str(other), "offset_ns": 0}
+    (coordinator / "machines.json").write_text(json.dumps({"h1": here}))
+    found = run("collect", coordinator, "--json", code=0)
+    assert "h1: its recording is not finished" in found.stderr
+    shown = run("inspect", json.loads(found.stdout)["output"], code=0).stdout
+    assert shown.count("/talker") >= 2
+
+
+def test_a_session_that_runs_is_not_collected(tmp_path: Path) -> None:
+    config = tmp_path / "system.yaml"
+    config.write_text("version: 1\nnodes: [{name: n, command: [sleep, '60']}]\n")
+    with replaying(config, tmp_path / "logs") as replay:
+        replay.until_operable()
+        (replay.bag.parent / "machines.json").write_text("{}")
+        refused = run("collect", replay.bag.parent.resolve(), code=2)
+        assert "collect it when it has ended" in refused.stderr
 
 
 def test_a_real_session_is_read_while_it_runs_and_afterwards(tmp_path: Path) -> None:

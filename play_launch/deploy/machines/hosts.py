@@ -97,6 +97,16 @@ async def connect(machine: MachineConfig) -> Host:
     return LocalHost() if machine.local else await SshHost.connect(machine)
 
 
+def _copy_files(folder: Path, target: Path) -> None:
+    """Copy the files of a folder, and not its sockets."""
+    import shutil  # noqa: PLC0415 - rarely needed
+
+    target.mkdir(parents=True, exist_ok=True)
+    for each in folder.iterdir():
+        if each.is_file():
+            shutil.copy2(each, target)
+
+
 def _marked(script: str) -> str:
     return f"echo {_MARKER}\n{script}"
 
@@ -133,9 +143,7 @@ class LocalHost:
             raise HostError(f"files cannot be written here: {error}") from None
 
     async def get(self, folder: str, target: Path) -> None:
-        import shutil  # noqa: PLC0415 - rarely needed
-
-        await asyncio.to_thread(shutil.copytree, folder, target, dirs_exist_ok=True)
+        await asyncio.to_thread(_copy_files, Path(folder), target)
 
     async def open(self, path: str) -> tuple[Reader, Any]:
         try:
