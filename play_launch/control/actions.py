@@ -21,7 +21,7 @@ from play_launch.control.protocol import (
     Code,
     OperationError,
 )
-from play_launch.control.units import chosen, full_name, members_of, nodes_of
+from play_launch.control.units import chosen, full_name, guests_of, members_of, nodes_of
 from play_launch.process.identity import NoSuchProcessError, ProcessHandle, ProcessIdentity
 from play_launch.recording.resolved_form import redacted_arguments
 from play_launch.supervisor.events import (
@@ -191,13 +191,14 @@ class Actions:
     def _targets(self, action: str, names: Sequence[str]) -> list[Target]:
         members = members_of(self._publisher.view, self._system.processes)
         nodes = nodes_of(self._publisher.view)
+        others = guests_of(self._publisher.view)
         if action in MEMBER_ACTIONS:
-            hint = "is a composable node; use load, unload or reload"
-            return chosen(names, members, nodes, hint)
+            others |= dict.fromkeys(nodes, "is a composable node; use load, unload or reload")
+            return chosen(names, members, others)
         if action in NODE_ACTIONS:
-            hint = "is not a composable node; use start, stop or restart"
-            return chosen(names, nodes, members, hint)
-        return chosen(names, [*members, *nodes])
+            others |= dict.fromkeys(members, "is not a composable node; use start, stop or restart")
+            return chosen(names, nodes, others)
+        return chosen(names, [*members, *nodes], others)
 
     def _refuse_if_stopping(self) -> None:
         if self._system.is_stopping:

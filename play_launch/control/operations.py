@@ -39,6 +39,7 @@ from play_launch.control.protocol import (
 from play_launch.control.units import (
     chosen,
     full_name,
+    guests_of,
     members_of,
     nodes_of,
     rows_of,
@@ -222,7 +223,8 @@ class Operations:
 
     def _chosen(self, wanted: Sequence[str]) -> list[Target]:
         view = self._publisher.view
-        return chosen(wanted, [*members_of(view, self._system.processes), *nodes_of(view)])
+        units = [*members_of(view, self._system.processes), *nodes_of(view)]
+        return chosen(wanted, units, guests_of(view))
 
 
 def _restarts_of(target: Target, events: Sequence[RunEvent]) -> Iterator[RestartRecord]:

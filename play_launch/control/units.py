@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import time
 from enum import StrEnum
 from fnmatch import fnmatchcase
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
@@ -27,7 +29,7 @@ from play_launch.supervisor.events import (
 from play_launch.supervisor.world import Process, is_wanted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from play_launch.control.messages import LastLine, RestartRecord
     from play_launch.supervisor.events import NodeStateChanged, ProcessEvent
@@ -95,6 +97,14 @@ def nodes_of(view: SystemView) -> list[Target]:
     return [key for container in view.containers.values() for key in container.nodes]
 
 
+def guests_of(view: SystemView) -> dict[Target, str]:
+    """Give the nodes that other programs have loaded, each with why nothing is done to it."""
+    every = [(each.name, name) for each in view.containers.values() for name in each.guests]
+    return dict.fromkeys(
+        itertools.starmap(NodeKey, every), "was loaded by another program, and is only listed"
+    )
+
+
 def full_name(target: Target) -> str:
     """Name in the graph; the label of a node without a name."""
     return target if isinstance(target, str) else target.name
@@ -103,25 +113,23 @@ def full_name(target: Target) -> str:
 def chosen(
     wanted: Sequence[str],
     candidates: Sequence[Target],
-    others: Sequence[Target] = (),
-    hint: str = "",
+    others: Mapping[Target, str] = MappingProxyType({}),
 ) -> list[Target]:
     """Find the units that names and patterns mean, in the order of the candidates, each once.
 
     They are full names, names without their namespace where only one has it, or patterns (``*``,
     ``?`` and ``[]`` as in a shell, over the full name); a composable node can also be written with
     its container, ``/container:/node``. ``others`` are units that the operation is not for, and
-    ``hint`` what to use for them. Raises OperationError where one means nothing, or a name several.
+    why. Raises OperationError where one means nothing, or a name several.
     """
     found: set[Target] = set()
     for word in wanted:
         named = _named(word, candidates)
         meant = named or _matching(word, candidates)
         if not meant:
-            if elsewhere := _named(word, others) or _matching(word, others):
-                raise OperationError(
-                    Code.BAD_ARGUMENTS, f"{full_name(elsewhere[0])} {hint}", name=word
-                )
+            if elsewhere := _named(word, [*others]) or _matching(word, [*others]):
+                text = f"{full_name(elsewhere[0])} {others[elsewhere[0]]}"
+                raise OperationError(Code.BAD_ARGUMENTS, text, name=word)
             raise OperationError(
                 Code.UNKNOWN_NAME,
                 f"no node or process named '{word}'{_proposal(word, candidates)}",

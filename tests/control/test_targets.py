@@ -66,7 +66,7 @@ def test_each_is_found_once_in_the_order_of_declaration() -> None:
 )
 def test_what_is_wrong_is_said(word: str, code: str, words: str) -> None:
     with pytest.raises(OperationError) as refused:
-        chosen([word], NODES, MEMBERS, "is no node")
+        chosen([word], NODES, dict.fromkeys(MEMBERS, "is no node"))
     assert refused.value.code == code
     assert words in str(refused.value)
     assert refused.value.details["name"] == word

@@ -259,7 +259,8 @@ def test_what_others_load_is_seen_and_not_supervised(tmp_path: Path, probe: Prob
             "loaded",
             "by another program",
         )
-        assert replay.ask("reload", "/guest").returncode != 0
+        for words in (("reload", "/guest"), ("param", "get", "guest", "rate")):
+            assert "loaded by another program" in replay.ask(*words).stderr
         os.kill(rows["/guest"]["pid"], signal.SIGSEGV)
         replay.until(event="component", kind="crashed")
         assert "/guest" not in replay.ask("ps", code=0).stdout
