@@ -59,6 +59,8 @@ def test_a_machine_comes_and_goes(net: Hosts, tmp_path: Path) -> None:
         assert {row["machine"] for row in before.values()} == {"main", "h2"}
         config.write_text(whole)
         assert "+ /listen:/listener" in guest.ask("diff", str(config), code=1)
+        links = "find ~/.cache/play-launch/parts -type l -name '*guest*'"
+        assert not net.ssh("h3", links), "it starts nothing else after a reboot"
         assert not supervisors(net, 3)
         assert actions(guest.ask("apply", "--json", str(config))) == {
             ("h3", "add", "/listen", "done"),

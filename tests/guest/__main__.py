@@ -106,6 +106,7 @@ def lists_of(architecture: str, release: str, work: Path) -> list[str]:
         (work / name).mkdir(parents=True)
     settings = {
         "Dir::State": work / "state",
+        "Dir::State::status": "/dev/null",  # what is installed here
         "Dir::Cache": work / "cache",
         "Dir::Etc::sourcelist": work / "sources.list",
         "Dir::Etc::sourceparts": "/dev/null",

@@ -13,6 +13,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+import psutil
+
 from play_launch.deploy.machines.namespaces import Namespaces, missing
 from tests.support.replay import COMMAND, finished
 from tests.support.waiting import until
@@ -274,9 +276,10 @@ nodes:
 
 
 def supervisors(net: Hosts, number: int) -> list[int]:
-    found = []
+    """Their pids, without those of children that are about to execute something else."""
+    parents = {}
     for pid in net.pids(number):
-        with contextlib.suppress(OSError):  # it has ended meanwhile
+        with contextlib.suppress(OSError, psutil.Error):  # it has ended meanwhile
             if b"\0--machine\0" in Path(f"/proc/{pid}/cmdline").read_bytes():
-                found.append(pid)
-    return found
+                parents[pid] = psutil.Process(pid).ppid()
+    return [pid for pid, parent in parents.items() if parent not in parents]

@@ -205,7 +205,7 @@ class Coordinator:
             found += [output.stdout] if output.stdout else []
         for part in self.parts.values():
             part.peers = tuple(found)
-            await part.adopt(part.config, await part.bring(part.config))
+            part.take(part.config, await part.bring(part.config))
 
     def follow(self, part: Part) -> None:
         """Start or adopt the session of a part, and accompany it; raises OperationError."""

@@ -135,7 +135,7 @@ class Part:
         """Connect, bring the files there, and let the machine check its part; raises HostError."""
         await self._connect()
         try:
-            await self.adopt(self.config, await self.bring(self.config))
+            self.take(self.config, await self.bring(self.config))
             await require_fit(self.host, self.bundle)
         except LinkLost as lost:
             raise HostError(str(lost)) from None
@@ -144,6 +144,7 @@ class Part:
         """Start or adopt the session and follow it to its end; raises HostError."""
         self.put(MachineState.STARTING)
         try:
+            await self.host.run(self.bundle.adopt_command())
             link = await self._running()
             if link:
                 await self._apply(link)
@@ -201,8 +202,12 @@ class Part:
         return bundle
 
     async def adopt(self, part: ReplayConfig, bundle: Bundle) -> None:
-        """Take a configuration that was brought as that of the part; raises LinkLost."""
+        """Take a configuration, also as what the machine starts next time; raises LinkLost."""
         await self.host.run(bundle.adopt_command())
+        self.take(part, bundle)
+
+    def take(self, part: ReplayConfig, bundle: Bundle) -> None:
+        """Take a configuration that was brought as that of the part."""
         self.config, self._bundle, self._arguments = part, bundle, bundle.arguments
         self.machine = bundle.machine
 
