@@ -135,12 +135,12 @@ def test_keys_complete_verbs_options_and_live_names(terminal: Terminal, tmp_path
     assert terminal.words(b"play-launch replay --dur\t1s")[2:] == ["--duration", "1s"]
     assert terminal.words(b"play-launch wait --for act\t")[2:] == ["--for", "active"]
     assert terminal.words(b"play-launch check my\t")[2:] == ["my_robot.yaml"]
-    assert terminal.words(b"play-launch stop /tal\t")[2:] == ["/tal"], "no session, no name"
+    assert terminal.words(b"play-launch stop /talke\t")[2:] == ["/talke"], "no session, no name"
     with running(tmp_path, "robot"):
         terminal.completes(b"play-launch stop /tal\t", ["/talker"])
         terminal.completes(b"play-launch stop tal\t /sensing/f\t", ["talker", "/sensing/front"])
         terminal.completes(b"play-launch ps --session ro\t", ["--session", "robot"])
-    assert terminal.words(b"play-launch stop /tal\t")[2:] == ["/tal"]
+    assert terminal.words(b"play-launch stop /talke\t")[2:] == ["/talke"]
 
 
 def test_a_session_that_hangs_offers_nothing_and_holds_up_nobody(tmp_path: Path) -> None:
