@@ -12,7 +12,7 @@ from play_launch.cli import options
 from play_launch.cli.output import fail, say, size, warn, whole_file
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 MACHINES = "machines.json"
 """In the folder of a coordinator's session: where the parts are recorded."""
@@ -34,7 +34,7 @@ def collect(
     """
     folder = session if session.is_dir() else session.parent
     try:
-        machines = json.loads((folder / MACHINES).read_text())
+        recorded = json.loads((folder / MACHINES).read_text())
     except (OSError, ValueError):
         fail(f"{folder} is no session of several machines: there is no {MACHINES}")
     from play_launch.postmortem.archive import complete_files, session_entry  # noqa: PLC0415
@@ -45,10 +45,10 @@ def collect(
     if entry is not None and entry.is_running:
         fail(f"{folder}: the session still runs; collect it when it has ended")
     complete_files(folder)
-    missing = asyncio.run(_fetch(machines, folder))
+    missing = asyncio.run(_fetch(recorded, folder))
     sources = [Source("", [each.path for each in parts_of(folder)], 0)]
-    for name, about in machines.items():
-        fetched = folder / name
+    for about in recorded:
+        name, fetched = about["machine"], _place(folder, about)
         if fetched.is_dir() and complete_files(fetched):
             warn(f"{name}: its recording is not finished, and is taken as far as it goes")
         files = [each.path for each in parts_of(fetched)] if fetched.is_dir() else []
@@ -56,37 +56,43 @@ def collect(
             sources.append(Source(name, files, about["offset_ns"] or 0))
         elif name not in missing:
             warn(f"{name}: it has recorded nothing")
-            missing.append(name)
+            missing.add(name)
     target = output or folder / COLLECTED
     with whole_file(target) as half:
         count = merge(folder / BAG_NAME, sources, half)
     if as_json:
-        say(json.dumps({"output": str(target), "messages": count, "missing": missing}))
+        say(json.dumps({"output": str(target), "messages": count, "missing": sorted(missing)}))
         return ExitCode.NODE_FAILED if missing else ExitCode.OK
     say(f"{target}: {count:,} messages, {size(target.stat().st_size)}", beside=target)
     return ExitCode.NODE_FAILED if missing else ExitCode.OK
 
 
-async def _fetch(machines: Mapping[str, Any], folder: Path) -> list[str]:
-    """Fetch the folders of all machines at once; return the names of those that are missing."""
+def _place(folder: Path, about: Mapping[str, Any]) -> Path:
+    """Give where a recording comes: a machine has several where its session was killed."""
+    return folder / str(about["machine"]) / Path(about["folder"]).name
+
+
+async def _fetch(recorded: Sequence[Mapping[str, Any]], folder: Path) -> set[str]:
+    """Fetch all recordings at once; return the machines of which one is missing."""
     from play_launch.config.machines import MachineConfig  # noqa: PLC0415
     from play_launch.deploy.machines.hosts import HostError, LinkLost, connect  # noqa: PLC0415
 
-    missing: list[str] = []
+    missing: set[str] = set()
 
-    async def fetch(name: str, about: Mapping[str, Any]) -> None:
+    async def fetch(about: Mapping[str, Any]) -> None:
+        name = about["machine"]
         machine = MachineConfig(name=name, local=about["local"], ssh=about["ssh"])
         try:
             host = await connect(machine)
             try:
-                await host.get(about["folder"], folder / name)
+                await host.get(about["folder"], _place(folder, about))
             finally:
                 host.close()
         except (HostError, LinkLost, OSError) as error:
             warn(f"{name}: its recording cannot be fetched: {error}")
-            missing.append(name)
+            missing.add(name)
 
     async with asyncio.TaskGroup() as tasks:
-        for name, about in machines.items():
-            tasks.create_task(fetch(name, about))
+        for about in recorded:
+            tasks.create_task(fetch(about))
     return missing

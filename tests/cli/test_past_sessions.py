@@ -217,9 +217,13 @@ containers:
 """
 
 
+def recorded_at(folder: Path) -> str:
+    here = {"machine": "h1", "local": True, "ssh": "", "folder": str(folder), "offset_ns": None}
+    return json.dumps([here])
+
+
 def test_a_machine_that_is_gone_is_left_out_of_what_is_collected(bag: Path) -> None:
-    gone = {"local": True, "ssh": "", "folder": str(bag.parent / "gone"), "offset_ns": None}
-    (bag.parent / "machines.json").write_text(json.dumps({"h1": gone}))
+    (bag.parent / "machines.json").write_text(recorded_at(bag.parent / "gone"))
     found = run("collect", bag.parent, "--json", code=1)
     assert "h1: its recording cannot be fetched" in found.stderr
     collected = json.loads(found.stdout)
@@ -238,8 +242,7 @@ def test_what_is_not_finished_is_collected_as_far_as_it_goes(tmp_path: Path) -> 
         (folder / "session.mcap.active").write_bytes(cut)
         with socket.socket(socket.AF_UNIX) as left:
             left.bind(str(folder / "control.sock"))
-    here = {"local": True, "ssh": "", "folder": str(other), "offset_ns": 0}
-    (coordinator / "machines.json").write_text(json.dumps({"h1": here}))
+    (coordinator / "machines.json").write_text(recorded_at(other))
     found = run("collect", coordinator, "--json", code=0)
     assert "h1: its recording is not finished" in found.stderr
     shown = run("inspect", json.loads(found.stdout)["output"], code=0).stdout
@@ -251,7 +254,7 @@ def test_a_session_that_runs_is_not_collected(tmp_path: Path) -> None:
     config.write_text("version: 1\nnodes: [{name: n, command: [sleep, '60']}]\n")
     with replaying(config, tmp_path / "logs") as replay:
         replay.until_operable()
-        (replay.bag.parent / "machines.json").write_text("{}")
+        (replay.bag.parent / "machines.json").write_text("[]")
         refused = run("collect", replay.bag.parent.resolve(), code=2)
         assert "collect it when it has ended" in refused.stderr
 

@@ -277,6 +277,12 @@ def test_a_session_that_was_killed_is_started_again(net: Hosts, tmp_path: Path) 
             "the new one",
         )
         killed.stop()
+    done = net.run("collect", "--json")
+    assert done.returncode == 0, done.stderr
+    with make_reader_of(Path(json.loads(done.stdout)["output"])) as reader:
+        every = [message.data for _, _, message in reader.iter_messages()]
+    firsts = [data for data in every if b"tick 1\0" in data]
+    assert len(firsts) == 2, "also what was recorded before the supervisor was killed"
 
 
 def test_a_session_that_is_killed_again_and_again_is_given_up(net: Hosts, tmp_path: Path) -> None:

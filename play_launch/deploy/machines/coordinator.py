@@ -68,6 +68,8 @@ class Coordinator:
             name: self.part(part_of(config, name), arguments) for name in used_machines(config)
         }
         """By machine; one that was removed stays as it ended."""
+        self._recordings: dict[str, dict[str, Any]] = {}
+        """By session: one that was killed, and one of a machine that was removed, is kept."""
         self.requests = Requests(self.parts, Applying(self))
         self.on_change: Callable[[], None] = lambda: None
         """Called when the state of a machine has changed."""
@@ -130,19 +132,18 @@ class Coordinator:
         self.requests.take(event)
         self._show(machine, event)
 
-    def recordings(self) -> dict[str, dict[str, Any]]:
-        """Say where each part is recorded, and by how much its clock is ahead."""
-        return {
-            part.name: {
-                "local": part.machine.local,
-                "ssh": part.machine.ssh,
-                "folder": part.hello["folder"],
-                "session": part.hello["session"],
-                "offset_ns": part.offset_ns,
-            }
-            for part in self.parts.values()
-            if part.hello
-        }
+    def recordings(self) -> list[dict[str, Any]]:
+        """Say where all parts are and were recorded, and by how much their clocks are ahead."""
+        for part in self.parts.values():
+            if part.hello:
+                self._recordings[part.hello["session"]] = {
+                    "machine": part.name,
+                    "local": part.machine.local,
+                    "ssh": part.machine.ssh,
+                    "folder": part.hello["folder"],
+                    "offset_ns": part.offset_ns,
+                }
+        return [*self._recordings.values()]
 
     async def _all_loaded(self) -> None:
         """Wait until all units of all machines are up, or failed for good."""
