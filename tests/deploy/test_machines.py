@@ -283,6 +283,9 @@ def test_a_session_that_was_killed_is_started_again(net: Hosts, tmp_path: Path) 
         every = [message.data for _, _, message in reader.iter_messages()]
     firsts = [data for data in every if b"tick 1\0" in data]
     assert len(firsts) == 2, "also what was recorded before the supervisor was killed"
+    explained = net.run("explain", json.loads(done.stdout)["output"])
+    assert "machine h3 was started again at " in explained.stdout
+    assert "Cause: the supervisor of its session was killed." in explained.stdout
 
 
 def test_a_session_that_is_killed_again_and_again_is_given_up(net: Hosts, tmp_path: Path) -> None:

@@ -179,6 +179,12 @@ BREAKS: Final = {
         "*changes[:-1], None",
         test_detect.test_machines_that_were_lost,
     ),
+    "machine_restarted": Break(
+        failures._machines,
+        "each.reason or",
+        "not each.reason or",
+        test_detect.test_machines_that_were_lost,
+    ),
     "not_as_expected": Break(
         topics._unexpected,
         "changes[1:]",

@@ -62,22 +62,27 @@ def test_what_the_kernel_kills_and_refuses_for_limits(tmp_path: Path) -> None:
 def test_machines_that_were_lost(tmp_path: Path) -> None:
     scene = Scene()
     for at, machine, state, reason in (
+        (0.5, "h2", MachineState.STARTING, ""),
         (1, "h2", MachineState.RUNNING, ""),
         (2, "h2", MachineState.UNREACHABLE, "timeout"),
         (4, "h2", MachineState.RUNNING, ""),
         (6, "h2", MachineState.UNREACHABLE, "timeout"),
         (7, "h3", MachineState.FAILED, "no such host"),
+        (8, "h4", MachineState.STARTING, "its supervisor was killed"),
+        (9, "h4", MachineState.RUNNING, ""),
     ):
         scene.events.append(
             MachineChanged(stamp_ns=ns(at), machine=machine, state=state, reason=reason)
         )
-    lost, failed = scene.story(tmp_path).findings
+    lost, failed, again = scene.story(tmp_path).findings
     assert text_of(lost) == (
         "machine h2 could not be reached 2 times, first at 2.000 s after the start.",
         "Cause: timeout.",
     )
     assert lost.away == (Downtime("h2", 2 * SECOND), Downtime("h2", None))
     assert text_of(failed)[0] == "machine h3 could not be used at 7.000 s after the start."
+    assert text_of(again)[0] == "machine h4 was started again at 8.000 s after the start."
+    assert again.away == (Downtime("h4", SECOND),)
 
 
 def test_topics_that_were_not_as_expected(tmp_path: Path) -> None:

@@ -393,8 +393,7 @@ class Part:
             # A session that ends in order removes its link when nothing of it runs any more.
             self.put(MachineState.ENDED, "its session has ended")
             return
-        _log.warning("%s: the supervisor of its session was killed", self.name)
-        self.put(MachineState.STARTING)
+        self.put(MachineState.STARTING, "the supervisor of its session was killed")
         if self.machine.local or self.machine.service is Service.NONE:
             await self._attach(await self._start())
             return

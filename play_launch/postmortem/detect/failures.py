@@ -147,15 +147,19 @@ def _looping(timeline: Timeline) -> Iterator[Finding]:
 
 
 def _machines(timeline: Timeline) -> Iterator[Finding]:
-    """Report machines that were lost, and those whose part failed."""
+    """Report machines that were lost, killed supervisors, and machines whose part failed."""
     for name, changes in timeline.machines.items():
         ends = [*changes[1:], None]
         for state, kind, says in (
             (MachineState.UNREACHABLE, "machine_lost", "could not be reached {when}"),
+            (MachineState.STARTING, "machine_restarted", "was started again {when}"),
             (MachineState.FAILED, "machine_failed", "could not be used {when}"),
         ):
             found = [
-                (each, end) for each, end in zip(changes, ends, strict=True) if each.state is state
+                (each, end)
+                for each, end in zip(changes, ends, strict=True)
+                # The first start is wanted, and has no reason.
+                if each.state is state and (each.reason or state is not MachineState.STARTING)
             ]
             if found:
                 yield Finding(
