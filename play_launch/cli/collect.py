@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -58,6 +59,8 @@ def collect(
             warn(f"{name}: it has recorded nothing")
             missing.add(name)
     target = output or folder / COLLECTED
+    if output is None:
+        target.unlink(missing_ok=True)  # of an earlier time; all that it held is here
     with whole_file(target) as half:
         count = merge(folder / BAG_NAME, sources, half)
     if as_json:
@@ -85,7 +88,13 @@ async def _fetch(recorded: Sequence[Mapping[str, Any]], folder: Path) -> set[str
         try:
             host = await connect(machine)
             try:
-                await host.get(about["folder"], _place(folder, about))
+                place = _place(folder, about)
+                fetched = place.with_name(f".{place.name}")
+                shutil.rmtree(fetched, ignore_errors=True)
+                await host.get(about["folder"], fetched)
+                # What was completed from an earlier, shorter copy must not stay.
+                shutil.rmtree(place, ignore_errors=True)
+                fetched.rename(place)
             finally:
                 host.close()
         except (HostError, LinkLost, OSError) as error:
