@@ -247,7 +247,8 @@ def test_what_is_not_finished_is_collected_as_far_as_it_goes(tmp_path: Path) -> 
     shown = run("inspect", json.loads(found.stdout)["output"], code=0).stdout
     assert "/talker" in shown
     before = json.loads(found.stdout)["messages"]
-    (other / "session.mcap.active").write_bytes(whole[: len(whole) * 4 // 5])
+    longer = record(tmp_path / "longer.mcap", [*EVENTS, *EVENTS]).read_bytes()
+    (other / "session.mcap.active").write_bytes(longer[: len(longer) // 2])
     assert json.loads(run("collect", coordinator, "--json").stdout)["messages"] > before
 
 
