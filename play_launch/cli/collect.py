@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.output import fail, say, size, warn, whole_file
+from play_launch.recording.folder import MACHINES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-MACHINES = "machines.json"
-"""In the folder of a coordinator's session: where the parts are recorded."""
 COLLECTED = "all-machines.mcap"
 
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from play_launch import ExitCode
 from play_launch.cli.check import describe
-from play_launch.cli.collect import MACHINES
 from play_launch.cli.events import text_of
 from play_launch.cli.output import report, say_live, warn
 from play_launch.cli.systemd_unit import program
@@ -22,6 +21,7 @@ from play_launch.control.serve import hello_of
 from play_launch.control.server import serving
 from play_launch.deploy.machines.coordinator import Coordinator
 from play_launch.deploy.machines.hosts import HostError
+from play_launch.recording.folder import MACHINES
 from play_launch.recording.log_handler import log_published
 from play_launch.recording.session import announce, open_session
 from play_launch.runtime.signals import RunSignals, StopRequests

@@ -23,6 +23,8 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 _BUFFER: Final = 1 << 17
 """Bytes that are read at once: records of a recording are short."""
 BAG_NAME: Final = "session.mcap"
+MACHINES: Final = "machines.json"
+"""Where the parts of a system are recorded that runs on several machines."""
 ORDER_NAME: Final = ".order"
 """In the log folder: the names of sessions in the order of their starts, one a line. The folders
 are named after the time, but the clock of a robot may begin anywhere, and be set at any time."""

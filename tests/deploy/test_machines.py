@@ -16,6 +16,7 @@ import pytest
 from mcap.reader import McapReader, make_reader
 
 from play_launch.deploy.machines.namespaces import missing
+from play_launch.postmortem.archive import session_entry
 from tests.support.hosts import Hosts, running, supervisors, system
 from tests.support.replay import COMMAND
 from tests.support.waiting import until
@@ -81,6 +82,9 @@ def test_the_recordings_of_all_machines_become_one(net: Hosts, tmp_path: Path) -
         whole.stop()
     folder = net.home / ".ros/play_launch/latest"
     assert folder.resolve().name.endswith("-whole")
+    entry = session_entry(folder.resolve())
+    assert entry is not None
+    assert not entry.is_pinned, "it may be removed like any other"
     done = net.run("collect", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["missing"] == []
