@@ -42,6 +42,7 @@ _DECIDED: Final = frozenset(
     {SubjectKind.NODE, SubjectKind.CONTAINER, SubjectKind.PROCESS, SubjectKind.MANAGED}
 )
 _OLD: Final = "it holds no inputs: an older version recorded it, or its beginning is missing"
+_MERGED: Final = "it holds the decisions of several machines; rerun the recording of one"
 _FOREIGN: Final = ": another version recorded inputs that this one does not know"
 _NO_END: Final = "its end is missing"
 _WHAT: Final = ("kind", "key", "state")
@@ -111,6 +112,8 @@ def _recorded(session: PastSession) -> RecordedInputs:
         except (CdrError, UnreadableInputError) as error:
             foreign = foreign or (_FOREIGN if isinstance(error, UnreadableInputError) else "")
             session.reader.damaged(str(error))
+    if topics.MACHINES_METADATA in session.reader.metadata:
+        return RecordedInputs([], states, _MERGED, 0)
     flaw = ""
     origin = decisions[0].said if decisions else None
     if not isinstance(origin, Origin):

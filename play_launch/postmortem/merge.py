@@ -5,20 +5,18 @@ from __future__ import annotations
 import heapq
 from contextlib import ExitStack
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from play_launch import UserError
+from play_launch.recording.topics import MACHINES_METADATA
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
-
-MACHINES: Final = "play_launch.machines"
-"""Name of the metadata with the offset of each machine's clock, in nanoseconds."""
 
 
 class MergeError(UserError):
@@ -48,7 +46,7 @@ def merge(head: Path, sources: Sequence[Source], output: Path) -> int:
         writer.start(profile="ros2", library="play-launch")
         _copy_head(stack, head, writer)
         offsets = {each.machine: str(each.offset_ns) for each in sources}
-        writer.add_metadata(MACHINES, offsets)
+        writer.add_metadata(MACHINES_METADATA, offsets)
         streams = [
             _messages(stack, number, path, source.offset_ns)
             for number, (source, path) in enumerate(

@@ -98,6 +98,11 @@ def test_the_recordings_of_all_machines_become_one(net: Hosts, tmp_path: Path) -
     assert "/talker" in explained.stdout
     assert "SIGSEGV" in explained.stdout
     assert re.search(r"declared in whole.yaml:\d+; on machine h2\.", explained.stdout)
+    again = net.run("rerun", str(folder / "all-machines.mcap"))
+    assert again.returncode == 5
+    assert "the decisions of several machines; rerun the recording of one" in again.stdout
+    (part,) = (folder / "h2").iterdir()
+    assert "as recorded" in net.run("rerun", str(part)).stdout
     with make_reader_of(folder / "all-machines.mcap") as reader:
         times = [message.log_time for _, _, message in reader.iter_messages(log_time_order=False)]
         assert times == sorted(times)

@@ -8,7 +8,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from play_launch.postmortem.merge import MACHINES, MergeError, Source, merge
+from play_launch.postmortem.merge import MergeError, Source, merge
+from play_launch.recording.topics import MACHINES_METADATA
 
 
 def recording(path: Path, topic: str, times: list[int]) -> Path:
@@ -39,7 +40,7 @@ def test_messages_come_in_the_order_of_one_clock(tmp_path: Path) -> None:
             ("/b", 350, 350),
         ]
         (metadata,) = reader.iter_metadata()
-        assert (metadata.name, metadata.metadata["vision"]) == (MACHINES, "1000")
+        assert (metadata.name, metadata.metadata["vision"]) == (MACHINES_METADATA, "1000")
         assert [each.name for each in reader.iter_attachments()] == ["config.a"]
         # One schema, whatever the number of files.
         summary = reader.get_summary()
