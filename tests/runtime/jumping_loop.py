@@ -60,6 +60,11 @@ class JumpingLoop(asyncio.SelectorEventLoop):
         """Let time pass in which nothing runs."""
         self._jumping.now += seconds
 
+    async def shutdown_default_executor(self, timeout: float | None = None) -> None:
+        """Wait without the limit of Python 3.12 and newer, to which time would jump."""
+        del timeout
+        await super().shutdown_default_executor()
+
 
 def run(main: Coroutine[Any, Any, _T]) -> _T:
     """Run to the end; a task that is left over is an error."""
