@@ -256,6 +256,8 @@ class Timeline:
             unit.since_ns = event.stamp_ns
 
     def _arrive(self, event: NodeStateChanged, unit: Unit, at_ns: int) -> None:
+        if event.unique_id and not event.attempt:
+            return  # another program loaded it: no part of the bring-up
         if event.state is NodeState.LOADED:
             unit.loaded_ns = unit.loaded_ns or event.stamp_ns
         if unit.arrival is not None:
