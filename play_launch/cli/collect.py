@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import shutil
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -45,22 +46,23 @@ def collect(
     if entry is not None and entry.is_running:
         fail(f"{folder}: the session still runs; collect it when it has ended")
     complete_files(folder)
-    missing = asyncio.run(_fetch(recorded, folder))
+    places = _places(folder, recorded)
+    missing = asyncio.run(_fetch(recorded, places))
     sources = [Source("", [each.path for each in parts_of(folder)], 0)]
-    for about in recorded:
-        name, fetched = about["machine"], _place(folder, about)
-        if fetched.is_dir() and complete_files(fetched):
+    for about, place in zip(recorded, places, strict=True):
+        name = about["machine"]
+        if not place.is_dir():
+            continue
+        if complete_files(place):
             warn(f"{name}: its recording is not finished, and is taken as far as it goes")
-        files = [each.path for each in parts_of(fetched)] if fetched.is_dir() else []
-        if files:
+        if files := [each.path for each in parts_of(place)]:
             sources.append(Source(name, files, about["offset_ns"] or 0))
         elif name not in missing:
             warn(f"{name}: it has recorded nothing")
             missing.add(name)
     target = output or folder / COLLECTED
-    if output is None:
-        target.unlink(missing_ok=True)  # of an earlier time; all that it held is here
-    with whole_file(target) as half:
+    # Of an earlier time: all that it held is here.
+    with whole_file(target, replaces_recording=output is None) as half:
         count = merge(folder / BAG_NAME, sources, half)
     if as_json:
         say(json.dumps({"output": str(target), "messages": count, "missing": sorted(missing)}))
@@ -69,38 +71,44 @@ def collect(
     return ExitCode.NODE_FAILED if missing else ExitCode.OK
 
 
-def _place(folder: Path, about: Mapping[str, Any]) -> Path:
-    """Give where a recording comes: a machine has several where its session was killed."""
-    return folder / str(about["machine"]) / Path(about["folder"]).name
+def _places(folder: Path, recorded: Sequence[Mapping[str, Any]]) -> list[Path]:
+    """Give where each recording comes: a machine has several where its session was killed."""
+    # Not by the names that they have there, which the other machines choose.
+    count: Counter[str] = Counter()
+    found = []
+    for about in recorded:
+        count[about["machine"]] += 1
+        found.append(folder / about["machine"] / str(count[about["machine"]]))
+    return found
 
 
-async def _fetch(recorded: Sequence[Mapping[str, Any]], folder: Path) -> set[str]:
+async def _fetch(recorded: Sequence[Mapping[str, Any]], places: Sequence[Path]) -> set[str]:
     """Fetch all recordings at once; return the machines of which one is missing."""
     from play_launch.config.machines import MachineConfig  # noqa: PLC0415
     from play_launch.deploy.machines.hosts import HostError, LinkLost, connect  # noqa: PLC0415
 
     missing: set[str] = set()
 
-    async def fetch(about: Mapping[str, Any]) -> None:
+    async def fetch(about: Mapping[str, Any], place: Path) -> None:
         name = about["machine"]
         machine = MachineConfig(name=name, local=about["local"], ssh=about["ssh"])
+        half = place.with_name(f".{place.name}")
         try:
             host = await connect(machine)
             try:
-                place = _place(folder, about)
-                fetched = place.with_name(f".{place.name}")
-                shutil.rmtree(fetched, ignore_errors=True)
-                await host.get(about["folder"], fetched)
-                # What was completed from an earlier, shorter copy must not stay.
-                shutil.rmtree(place, ignore_errors=True)
-                fetched.rename(place)
+                await host.get(about["folder"], half)
             finally:
                 host.close()
+            # What was completed from an earlier, shorter copy must not stay.
+            await asyncio.to_thread(shutil.rmtree, place, ignore_errors=True)
+            half.rename(place)
         except (HostError, LinkLost, OSError) as error:
             warn(f"{name}: its recording cannot be fetched: {error}")
             missing.add(name)
+        finally:
+            await asyncio.to_thread(shutil.rmtree, half, ignore_errors=True)
 
     async with asyncio.TaskGroup() as tasks:
-        for about in recorded:
-            tasks.create_task(fetch(about))
+        for about, place in zip(recorded, places, strict=True):
+            tasks.create_task(fetch(about, place))
     return missing

@@ -261,14 +261,14 @@ class OutputError(UserError):
 
 
 @contextlib.contextmanager
-def whole_file(output: Path) -> Iterator[Path]:
+def whole_file(output: Path, *, replaces_recording: bool = False) -> Iterator[Path]:
     """Provide the path to write to; after the block, its content is at ``output``.
 
     Nothing is left of a file that was not completed because of a full disk or Ctrl-C. ``-`` is
     standard output, as is what leads to descriptor 1.
 
     Raises OutputError when it cannot be written, also for an OSError in the block, or would replace
-    a recording.
+    a recording and is not to.
     """
     import tempfile  # noqa: PLC0415 - not for verbs without a file
     from pathlib import Path  # noqa: PLC0415
@@ -281,7 +281,8 @@ def whole_file(output: Path) -> Iterator[Path]:
                 yield Path(name)
                 _pass_on(Path(name), output)
             return
-        _refuse_to_replace(output)
+        if not replaces_recording:
+            _refuse_to_replace(output)
         target = output.resolve() if output.is_symlink() else output
         # Names are limited to 255 bytes.
         half = target.parent / f".{target.name[:50]}.{os.getpid()}.writing"

@@ -27,6 +27,7 @@ from play_launch.supervisor.difference import events_since
 from play_launch.supervisor.events import SubjectKind
 from play_launch.supervisor.inputs import Origin, Over, Raised
 from play_launch.supervisor.reducer import reduce
+from play_launch.supervisor.view import is_guest
 from play_launch.supervisor.world import World
 
 if TYPE_CHECKING:
@@ -106,8 +107,8 @@ def _recorded(session: PastSession) -> RecordedInputs:
             elif message.sequence != topics.REPEATED:
                 # Earlier versions wrote no causes.
                 fields = STATE_EVENT.read(message.data + bytes(32))
-                is_guest = fields["unique_id"] and not fields["attempt"]
-                if fields["kind"] in _DECIDED and not is_guest:
+                others = is_guest(fields["unique_id"], fields["attempt"])
+                if fields["kind"] in _DECIDED and not others:
                     states.append(fields)
         except (CdrError, UnreadableInputError) as error:
             foreign = foreign or (_FOREIGN if isinstance(error, UnreadableInputError) else "")

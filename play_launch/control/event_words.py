@@ -40,7 +40,7 @@ from play_launch.supervisor.events import (
     SystemSample,
     Withdrawn,
 )
-from play_launch.supervisor.view import loaded_by_others
+from play_launch.supervisor.view import is_guest
 
 OWN_NAME = "play-launch"
 _ERRORS = frozenset(
@@ -97,7 +97,7 @@ def words_of(event: RunEvent) -> EventText:
             is_bad = event.kind in {ComponentEventKind.LOAD_FAILED, ComponentEventKind.CRASHED}
             text = because(event.kind.name.lower().replace("_", " "), event.error_message)
             source = event.full_node_name or event.plugin_name
-            if loaded_by_others(event):
+            if is_guest(event.unique_id, event.attempt):
                 text, source = f"{source}, of another program, {text}", event.container
             lines = [text, *(f"  {frame}" for frame in event.backtrace)]
             return EventText(ERROR if is_bad else INFO, source, "\n".join(lines))

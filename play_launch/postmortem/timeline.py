@@ -51,6 +51,7 @@ from play_launch.supervisor.events import (
     Withdrawn,
 )
 from play_launch.supervisor.outcome import Cause, Sequel
+from play_launch.supervisor.view import is_guest
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -233,6 +234,7 @@ class Timeline:
         is_new_crash = unit.state is not None and event.crashes > unit.crashes
         is_repeated = unit.state is event.state and not is_new_crash
         unit.pid = event.pid or unit.pid
+        unit.is_guest = is_guest(event.unique_id, event.attempt)
         if event.state is NodeState.LOADING and unit.failure is not None:
             unit.failure.back_at = unit.failure.back_at or at_ns
         if event.state is NodeState.LOADING and is_repeated and event.reason:
@@ -256,8 +258,6 @@ class Timeline:
             unit.since_ns = event.stamp_ns
 
     def _arrive(self, event: NodeStateChanged, unit: Unit, at_ns: int) -> None:
-        if event.unique_id and not event.attempt:
-            return  # another program loaded it: no part of the bring-up
         if event.state is NodeState.LOADED:
             unit.loaded_ns = unit.loaded_ns or event.stamp_ns
         if unit.arrival is not None:

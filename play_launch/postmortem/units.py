@@ -198,6 +198,8 @@ class Unit(Struct, kw_only=True):
     """Of its process: ``running``, ``stopping``, ``killed`` (by the supervisor), ``exited``."""
     is_stopping: bool = False
     is_withdrawn: bool = False
+    is_guest: bool = False
+    """Another program loaded it."""
     changes: list[tuple[int, State, bool]] = field(default_factory=list)
     """Log time, state, and whether it is a failure."""
     failure: Failure | None = None

@@ -52,7 +52,7 @@ from play_launch.supervisor.events import (
     Withdrawn,
 )
 from play_launch.supervisor.outcome import Cause, Sequel
-from play_launch.supervisor.view import loaded_by_others
+from play_launch.supervisor.view import is_guest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -367,8 +367,9 @@ def convert(event: RunEvent) -> tuple[TopicMessage, ...]:
         case ComponentEvent() if event.received:
             # As its container sent it.
             received = TopicMessage(topics.COMPONENT_EVENTS, event.received)
-            is_guest = loaded_by_others(event)
-            return (received, _NODE.message(state_of_guest(event))) if is_guest else (received,)
+            if is_guest(event.unique_id, event.attempt):
+                return received, _NODE.message(state_of_guest(event))
+            return (received,)
     return (_FORMS[type(event)].message(event),)
 
 

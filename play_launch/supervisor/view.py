@@ -68,9 +68,12 @@ def has_failed(process: ProcessEvent) -> bool:
     return process.kind is ProcessEventKind.EXITED and not has_ended_well(process)
 
 
-def loaded_by_others(event: ComponentEvent) -> bool:
-    """Whether it is about a node that another program loaded, as `ros2 component load` does."""
-    return bool(event.unique_id) and not event.attempt
+def is_guest(unique_id: int, attempt: int) -> bool:
+    """Whether another program loaded a node, as `ros2 component load` does: by no attempt of ours.
+
+    Without a ``unique_id`` the container itself is meant, or a load that was not accepted.
+    """
+    return bool(unique_id) and not attempt
 
 
 class _Nodes(Struct, frozen=True, kw_only=True):
@@ -204,7 +207,7 @@ class SystemView(_Nodes, frozen=True, kw_only=True):
         match event:
             case NodeStateChanged():
                 return self._with_container(_node_changed(self._container(event.container), event))
-            case ComponentEvent() if loaded_by_others(event):
+            case ComponentEvent() if is_guest(event.unique_id, event.attempt):
                 container = self._container(event.container)
                 guests = _less(container.guests, {event.full_node_name})
                 if event.kind is ComponentEventKind.LOADED:

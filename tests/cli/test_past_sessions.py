@@ -252,6 +252,15 @@ def test_what_is_not_finished_is_collected_as_far_as_it_goes(tmp_path: Path) -> 
     assert json.loads(run("collect", coordinator, "--json").stdout)["messages"] > before
 
 
+def test_the_other_machine_does_not_choose_where_its_files_come(bag: Path, tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    record(tmp_path / "other" / "session.mcap", EVENTS)
+    (bag.parent / "machines.json").write_text(recorded_at(tmp_path / "other" / "x" / ".."))
+    (tmp_path / "other" / "x").mkdir()
+    run("collect", bag.parent, code=0)
+    assert bag.exists()
+
+
 def test_a_session_that_runs_is_not_collected(tmp_path: Path) -> None:
     config = tmp_path / "system.yaml"
     config.write_text("version: 1\nnodes: [{name: n, command: [sleep, '60']}]\n")

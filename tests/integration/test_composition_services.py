@@ -266,6 +266,9 @@ def test_what_others_load_is_seen_and_not_supervised(tmp_path: Path, probe: Prob
         assert "/guest" not in replay.ask("ps", code=0).stdout
         again = probe.load("Talker", node_name="guest")
         assert again.unique_id != guest.unique_id
+        os.kill(replay.pids()["/guest"], signal.SIGSEGV)
+        replay.until(event="component", kind="crashed", unique_id=again.unique_id)
+        again = probe.load("Talker", node_name="guest")
         probe.load("Echo", node_name="other")
         probe.unload(again.unique_id)
         replay.ask("restart", "/container", code=0)
@@ -276,6 +279,8 @@ def test_what_others_load_is_seen_and_not_supervised(tmp_path: Path, probe: Prob
     found = json.loads(run("explain", "--json", tmp_path / "logs" / "latest", code=1).stdout)
     assert [(each["name"], each["kind"]) for each in found["findings"]] == [("/guest", "crashed")]
     assert "SIGSEGV" in found["findings"][0]["cause"]
+    assert "crashed 2 times" in found["findings"][0]["says"]
+    assert "Crashes:   2 (/guest 2)" in run("info", tmp_path / "logs" / "latest").stdout
     run("rerun", tmp_path / "logs" / "latest", code=0)
 
 

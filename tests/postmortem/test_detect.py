@@ -169,6 +169,8 @@ def test_a_late_bring_up_with_its_critical_chain(
     scene.node(5, "/map", NodeState.REQUESTED)
     scene.node(5, "/map", NodeState.LOADING)
     scene.node(loaded, "/map", NodeState.LOADED)
+    # Another program loads it: no attempt of ours.
+    scene.node(90, "/guest", NodeState.LOADED, unique_id=9)
     found = scene.story(tmp_path).findings
     assert bool(found) is is_late
     for finding in found:

@@ -31,7 +31,7 @@ from play_launch.supervisor.events import (
     RunEvent,
     Withdrawn,
 )
-from play_launch.supervisor.view import loaded_by_others
+from play_launch.supervisor.view import is_guest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -76,9 +76,9 @@ def _is_progress(event: RunEvent, before: SystemView, after: SystemView) -> bool
             return False
         case LogRecord() if event.level >= WARN and event.name != REPORTED_LOGGER:
             return False
-        case ComponentEvent() if event.kind is not ComponentEventKind.LOADING:
-            is_news = loaded_by_others(event) and not _was_stopping(event.container, before)
-            return False if is_news else None
+        case ComponentEvent() if is_guest(event.unique_id, event.attempt):
+            is_late = _was_stopping(event.container, before)
+            return None if is_late or event.kind is ComponentEventKind.LOADING else False
         case NodeStateChanged():
             return _is_node_progress(event, before, after)
         case ContainerStateChanged(state=ContainerState.STARTING) if event.reason:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import re
 import time
 from collections import deque
 from functools import partial
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from play_launch.control.client import ControlClient
     from play_launch.control.units import Target
 
-_TOKEN: Final = re.compile(r"(\btoken=)[\w-]+")
 _AGAIN: Final = 2.0
 """Seconds between two attempts to find a session."""
 _LINGER: Final = 5.0
@@ -210,8 +208,7 @@ class Watch:
 
     def on_line(self, event: dict[str, Any]) -> None:
         with contextlib.suppress(KeyError, TypeError, ValueError):
-            # The page may be a process of the session, and then its tokens are in its output.
-            line = model.line_of({**event, "text": _TOKEN.sub(r"\1…", str(event["text"]))})
+            line = model.line_of(event)
             self._count += 1
             self.lines.append((self._count, line))
             self.last.add(line)

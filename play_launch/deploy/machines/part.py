@@ -144,7 +144,7 @@ class Part:
         """Start or adopt the session and follow it to its end; raises HostError."""
         self.put(MachineState.STARTING)
         try:
-            await self.host.run(self.bundle.adopt_command())
+            await self.adopt(self.config, self.bundle)
             link = await self._running()
             if link:
                 await self._apply(link)

@@ -68,7 +68,8 @@ def _missing(timeline: Timeline) -> Iterator[Finding]:
 
 def _late(timeline: Timeline) -> Iterator[Finding]:
     started = timeline.session.started_ns
-    nodes = [unit for unit in timeline.units if unit.kind is SubjectKind.NODE and unit.is_known]
+    known = (unit for unit in timeline.units if unit.kind is SubjectKind.NODE and unit.is_known)
+    nodes = [unit for unit in known if not unit.is_guest]
     arrived = sorted((unit for unit in nodes if unit.arrival), key=lambda unit: unit.ready_ns)
     if len(arrived) < max(_LEAST_NODES, len(nodes)):
         return  # a node that never came is a finding of its own

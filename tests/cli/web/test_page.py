@@ -14,7 +14,6 @@ import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
 from benchmarks.browser import Browser, find_browser
-from play_launch.cli.web.watch import Watch
 from tests.cli.web.server import Server, serving
 from tests.cli.web.test_access import answers
 from tests.support.replay import Replay, replaying, run
@@ -127,13 +126,6 @@ def test_sessions_have_their_reports(session: Replay) -> None:
         assert "/talker" in text
         for other in ("nothing", "..", "%2e%2e", "..%2f..%2fetc"):
             assert server.status(f"/report/{other}") in {404, 503}
-
-
-def test_tokens_that_a_page_printed_are_not_shown_by_it() -> None:
-    watch = Watch(None)
-    event = {"event": "output", "source": "/page", "stamp_ns": 1, "level": 0}
-    watch.on_line({**event, "text": "http://127.0.0.1:8080/?token=pZ-_x9 (to act)"})
-    assert [line.text for _, line in watch.lines] == ["http://127.0.0.1:8080/?token=… (to act)"]
 
 
 @needs_browser
