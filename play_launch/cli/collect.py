@@ -48,7 +48,7 @@ def collect(
     complete_files(folder)
     places = _places(folder, recorded)
     missing = asyncio.run(_fetch(recorded, places))
-    sources = [Source("", [each.path for each in parts_of(folder)], 0)]
+    sources = [Source("", [each.path for each in parts_of(folder)], [])]
     for about, place in zip(recorded, places, strict=True):
         name = about["machine"]
         if not place.is_dir():
@@ -56,7 +56,7 @@ def collect(
         if complete_files(place):
             warn(f"{name}: its recording is not finished, and is taken as far as it goes")
         if files := [each.path for each in parts_of(place)]:
-            sources.append(Source(name, files, about["offset_ns"] or 0))
+            sources.append(Source(name, files, [(at, ahead) for at, ahead in about["offsets"]]))
         elif name not in missing:
             warn(f"{name}: it has recorded nothing")
             missing.add(name)

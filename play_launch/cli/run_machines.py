@@ -77,9 +77,7 @@ def run_machines(
         if not as_json:
             names = ", ".join(used_machines(config))
             say_live(f"{config.name}: {describe(config)} on {names}")
-        coordinator = Coordinator(
-            config, arguments, str(program()), screen.show, session.recorder.publish
-        )
+        coordinator = Coordinator(config, arguments, str(program()), screen.show, session.recorder)
         work = _until_the_end(coordinator, session, control, signals, detach=detach)
         try:
             return asyncio.run(work)

@@ -19,6 +19,8 @@ from play_launch.control.messages import Seconds  # noqa: TC001 - msgspec reads 
 from play_launch.supervisor.conditions import condition_state
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from play_launch.control.messages import Caller
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import RunEvent
@@ -46,7 +48,9 @@ class Lease(Struct, frozen=True):
 class Coordinated:
     """What a coordinator operates in the session of a part."""
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, recording_clock: Callable[[], int]) -> None:
+        """Take the system; ``recording_clock`` gives the log time of its recording, in ns."""
+        self._recording_clock = recording_clock
         self._system = system
         self._changed = asyncio.Event()
         self._lease: asyncio.TimerHandle | None = None
@@ -55,7 +59,7 @@ class Coordinated:
         self._changed.set()
 
     async def clock(self, _request: object, _caller: Caller) -> object:
-        return {"stamp_ns": time.time_ns()}
+        return {"stamp_ns": time.time_ns(), "recording_ns": self._recording_clock()}
 
     async def meet(self, request: Facts, _caller: Caller) -> object:
         self._system.outside.tell(frozenset(request.met))

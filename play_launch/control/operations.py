@@ -112,7 +112,7 @@ class Operations:
         self._recorder = recorder
         self._samples: Samples = {}
         self._log = log
-        coordinated = Coordinated(system)
+        coordinated = Coordinated(system, recorder.clock.now)
         actions = Actions(system, publisher, feed, log, expectations)
         self._table: dict[str, tuple[type[Struct], Callable[[Any, Caller], Awaitable[object]]]] = {
             "ps": (Selected, self._ps),

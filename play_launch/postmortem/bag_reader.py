@@ -41,7 +41,7 @@ from play_launch.postmortem.records import (
 )
 from play_launch.recording.clock import CLOCK_METADATA
 from play_launch.recording.folder import BAG_NAME, MAGIC, PartFile, open_bag, part_path, parts_of
-from play_launch.recording.topics import KEY, KIND, PART_METADATA, REPEATED
+from play_launch.recording.topics import KEY, KIND, MACHINES_METADATA, PART_METADATA, REPEATED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator
@@ -96,8 +96,11 @@ class Message(Struct, frozen=True, gc=False):
     channel: int
     """Its number in the file."""
     sequence: int = 0
-    ahead_ns: int = 0
-    """By how much the system clock was ahead of the session's, as publish time and stamps are."""
+    ahead_ns: int | None = 0
+    """By how much the system clock was ahead of the session's, as publish time and stamps are.
+
+    None in a merged recording, whose stamps are of several clocks.
+    """
 
 
 Take: TypeAlias = "Callable[[Message], RunEvent | None]"
@@ -324,7 +327,8 @@ class BagReader:
         """Read the records of a chunk, and pass on the messages that are wanted."""
         size = len(data)
         begin = 0
-        earliest, ahead_ns = self.begin or sys.maxsize, self.ahead_ns
+        earliest = self.begin or sys.maxsize
+        ahead_ns = None if MACHINES_METADATA in self.metadata else self.ahead_ns
         unpack, head, channels = MESSAGE.unpack_from, MESSAGE.size, self.channels
         skips_repeated = self._skips_repeated
         # An hour of a large system has a million messages: this looks at each once.

@@ -64,6 +64,9 @@ def event_of(message: Message) -> RunEvent | None:
 
 def _fields(layout: Layout, message: Message, more: bytes = b"") -> dict[str, Any]:
     fields = layout.read(message.data + more)
+    if message.ahead_ns is None:
+        fields["stamp"] = message.log_time
+        return fields
     # The stamp may be from before the clock was set.
     late = fields["stamp"] - message.log_time
     if abs(late - message.ahead_ns) < abs(late):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import heapq
+import sys
+from bisect import bisect_right
 from contextlib import ExitStack
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
@@ -25,13 +27,28 @@ class MergeError(UserError):
     exit_code = 1
 
 
+_Placed: TypeAlias = tuple[int, int, Any, Any, Any, int]
+"""Log time in the result, number of the file, schema, channel, message, offset."""
+
+
 class Source(NamedTuple):
     """A recording of one machine."""
 
     machine: str
     files: Sequence[Path]
-    offset_ns: int
-    """Its clock minus the clock of the result."""
+    offsets: Sequence[tuple[int, int]]
+    """Times of its clock, ascending, and by how much it was ahead of the result's then, in ns."""
+
+    def ahead(self, time: int) -> int:
+        """Say by how much its clock was ahead at a time of it, between measurements evenly."""
+        after = bisect_right(self.offsets, time, key=itemgetter(0))
+        around = self.offsets[max(after - 1, 0) : after + 1]
+        if not around:
+            return 0
+        (begin, first), (end, last) = around[0], around[-1]
+        if not begin < time < end:
+            return first
+        return first + (last - first) * (time - begin) // (end - begin)
 
 
 def merge(head: Path, sources: Sequence[Source], output: Path) -> int:
@@ -45,10 +62,10 @@ def merge(head: Path, sources: Sequence[Source], output: Path) -> int:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="play-launch")
         _copy_head(stack, head, writer)
-        offsets = {each.machine: str(each.offset_ns) for each in sources}
+        offsets = {each.machine: str(each.ahead(sys.maxsize)) for each in sources}
         writer.add_metadata(MACHINES_METADATA, offsets)
         streams = [
-            _messages(stack, number, path, source.offset_ns)
+            _messages(stack, number, path, source)
             for number, (source, path) in enumerate(
                 (source, path) for source in sources for path in source.files
             )
@@ -81,10 +98,11 @@ def merge(head: Path, sources: Sequence[Source], output: Path) -> int:
     return count
 
 
-def _messages(stack: ExitStack, number: int, path: Path, offset: int) -> Iterator[tuple[Any, ...]]:
+def _messages(stack: ExitStack, number: int, path: Path, source: Source) -> Iterator[_Placed]:
     try:
         reader = make_reader(stack.enter_context(path.open("rb")))
         for schema, channel, message in reader.iter_messages():
+            offset = source.ahead(message.log_time)
             yield max(message.log_time - offset, 0), number, schema, channel, message, offset
     except (OSError, McapError) as error:
         raise MergeError(f"{path}: {error}; `play-launch recover {path}` first") from None

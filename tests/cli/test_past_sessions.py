@@ -218,7 +218,7 @@ containers:
 
 
 def recorded_at(folder: Path) -> str:
-    here = {"machine": "h1", "local": True, "ssh": "", "folder": str(folder), "offset_ns": None}
+    here = {"machine": "h1", "local": True, "ssh": "", "folder": str(folder), "offsets": []}
     return json.dumps([here])
 
 

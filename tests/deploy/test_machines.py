@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -109,6 +110,56 @@ def test_the_recordings_of_all_machines_become_one(net: Hosts, tmp_path: Path) -
         data = [message.data for _, _, message in reader.iter_messages()]
         assert any(b"tick 2" in each for each in data)
         assert any(b"Hello World" in each for each in data)
+
+
+SHIFTED_CLOCK = """\
+#include <dlfcn.h>
+#include <time.h>
+#include <unistd.h>
+extern "C" int clock_gettime(clockid_t clock, timespec* now) {
+  static void* const real = dlsym(RTLD_NEXT, "clock_gettime");
+  const int result = reinterpret_cast<decltype(&clock_gettime)>(real)(clock, now);
+  if (clock == CLOCK_REALTIME && access(CLOCK_IS_SET, F_OK) != 0) now->tv_sec -= 400 * 86400;
+  return result;
+}
+"""
+"""Of a computer without a battery for its clock, until NTP sets it."""
+
+
+def test_recordings_agree_on_the_time_although_a_clock_was_set(net: Hosts, tmp_path: Path) -> None:
+    source, library, is_set = tmp_path / "clock.cpp", tmp_path / "clock.so", tmp_path / "set"
+    source.write_text(SHIFTED_CLOCK)
+    define = f'-DCLOCK_IS_SET="{is_set}"'
+    subprocess.run(["c++", "-shared", "-fPIC", define, source, "-o", library], check=True)
+    (tmp_path / "setup.bash").write_text(f"export LD_PRELOAD={library}")
+    path = system(tmp_path, "clocks")
+    setup = f"h2: {{setup: [{tmp_path}/setup.bash], "
+    path.write_text(path.read_text().replace("h2: {", setup))
+    before = time.time_ns()
+    with running(net, path) as whole:
+        whole.loaded()
+        until(lambda: "its clock is -34560000" in whole.printed(), "the warning")
+        is_set.touch()
+        net.set_link(2, "down")
+        until(lambda: whole.rows()["/talker"]["state"] == "unreachable", "the loss")
+        net.set_link(2, "up")
+        until(lambda: whole.rows()["/talker"]["state"] == "loaded", "the connection")
+        os.kill(whole.rows()["/talker"]["pid"], signal.SIGSEGV)
+        until(lambda: whole.rows()["/talker"]["crashes"] == 1, "the crash")
+        until(lambda: whole.rows()["/talker"]["state"] == "loaded", "the reload")
+        whole.stop()
+    warnings = [line for line in whole.printed().splitlines() if "its clock is -" in line]
+    assert len(warnings) == 1
+    net.run("collect", code=0)
+    merged = net.home / ".ros/play_launch/latest/all-machines.mcap"
+    with make_reader_of(merged) as reader:
+        times = {message.log_time for _, _, message in reader.iter_messages(log_time_order=False)}
+    second = 1_000_000_000
+    assert before - second < min(times)
+    assert max(times) < time.time_ns() + second
+    found = json.loads(net.run("explain", "--json", str(merged), code=1).stdout)
+    crash = next(each for each in found["findings"] if each["name"] == "/talker")
+    assert before < crash["times_ns"][0] < time.time_ns()
 
 
 def test_a_cut_loses_no_line_and_stops_nothing(net: Hosts, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ def recording(path: Path, topic: str, times: list[int]) -> Path:
 def test_messages_come_in_the_order_of_one_clock(tmp_path: Path) -> None:
     here = recording(tmp_path / "here.mcap", "/a", [100, 300])
     there = recording(tmp_path / "there.mcap", "/b", [1150, 1350])
-    sources = [Source("", [here], 0), Source("vision", [there], 1000)]
+    sources = [Source("", [here], []), Source("vision", [there], [(0, 1000)])]
     assert merge(here, sources, tmp_path / "out.mcap") == 4
     with (tmp_path / "out.mcap").open("rb") as file:
         reader = make_reader(file)
@@ -48,9 +48,15 @@ def test_messages_come_in_the_order_of_one_clock(tmp_path: Path) -> None:
         assert len(summary.schemas) == 1
 
 
+def test_offsets_hold_evenly_between_their_measurements() -> None:
+    source = Source("vision", [], [(1000, 100), (2000, 300)])
+    assert [source.ahead(time) for time in (0, 1000, 1500, 2000, 9000)] == [100, 100, 200, 300, 300]
+    assert Source("", [], []).ahead(5) == 0
+
+
 def test_what_cannot_be_read_is_named_with_the_fix(tmp_path: Path) -> None:
     here = recording(tmp_path / "here.mcap", "/a", [100])
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(here.read_bytes()[:60])
     with pytest.raises(MergeError, match=r"broken.mcap: .*; `play-launch recover"):
-        merge(here, [Source("", [broken], 0)], tmp_path / "out.mcap")
+        merge(here, [Source("", [broken], [])], tmp_path / "out.mcap")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from typing import TYPE_CHECKING, Any, Final
 
@@ -22,7 +23,12 @@ if TYPE_CHECKING:
 
 _PIECE: Final = 64 * 1024
 _SAMPLES: Final = 8
-"""Measurements of a clock."""
+"""Measurements of a clock, of which the one with the shortest round trip counts."""
+_NOTABLE_NS: Final = 1_000_000
+"""A smaller change of an offset is not kept."""
+_MOST_OFFSETS: Final = 1000
+
+_log = logging.getLogger(__name__)
 
 
 class Channel:
@@ -101,19 +107,47 @@ class Channel:
         return decode(self._lines.pop(0))
 
 
-async def clock_offset(connect: Callable[[], Awaitable[Channel]]) -> tuple[int, int]:
-    """Return the time of the shortest round trip, and the offset of the other clock in it, in ns.
+class OtherClock:
+    """How much the clocks of another machine are ahead of those of this one."""
 
-    Raises LinkLost and OperationError.
-    """
-    samples = []
-    for _ in range(_SAMPLES):
-        channel = await connect()
-        try:
-            before = time.time_ns()
-            there = (await channel.ask("clock"))["stamp_ns"]
-            after = time.time_ns()
-        finally:
-            channel.close()
-        samples.append((after - before, there - (before + after) // 2))
-    return min(samples)
+    def __init__(self, machine: str, limit: float, recording_clock: Callable[[], int]) -> None:
+        """Prepare; a system clock that is off by more than ``limit`` seconds is warned of.
+
+        ``recording_clock`` gives the log time of the recording here, in ns.
+        """
+        self._machine = machine
+        self._limit = limit
+        self._recording_clock = recording_clock
+        self._is_off = False
+        self.offsets: list[tuple[int, int]] = []
+        """Of the clock of its recording: a time of it, and by how much it was ahead then, in ns."""
+
+    async def measure(self, connect: Callable[[], Awaitable[Channel]]) -> None:
+        """Compare the clocks; raises LinkLost and OperationError."""
+        samples = []
+        for _ in range(_SAMPLES):
+            channel = await connect()
+            try:
+                before, begun = time.time_ns(), self._recording_clock()
+                there = await channel.ask("clock")
+                trip = self._recording_clock() - begun
+            finally:
+                channel.close()
+            ahead = there["stamp_ns"] - before - trip // 2
+            recorded = there["recording_ns"]
+            samples.append((trip, ahead, recorded, recorded - begun - trip // 2))
+        trip, ahead, recorded, offset = min(samples)
+        if not self.offsets or abs(offset - self.offsets[-1][1]) > max(_NOTABLE_NS, trip // 2):
+            self.offsets.append((recorded, offset))
+            if len(self.offsets) > _MOST_OFFSETS:
+                del self.offsets[1:-1:2]
+        was_off, self._is_off = self._is_off, abs(ahead) > self._limit * 1e9 + trip / 2
+        if self._is_off and not was_off:
+            _log.warning(
+                "%s: its clock is %+.0f ms off (measured within %.1f ms); set it by chrony or NTP",
+                self._machine,
+                ahead / 1e6,
+                trip / 2e6,
+            )
+        elif was_off and not self._is_off:
+            _log.warning("%s: its clock is right now", self._machine)

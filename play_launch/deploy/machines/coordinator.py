@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from anyio.abc import TaskGroup
 
     from play_launch.config.model import ReplayConfig
+    from play_launch.recording.recorder import Recorder
     from play_launch.supervisor.events import MachineChanged, RunEvent
 
     Show = Callable[[str, dict[str, Any]], None]
@@ -48,13 +49,13 @@ class Coordinator:
         arguments: Sequence[str],
         program: str,
         show: Show,
-        record: Callable[[RunEvent], None],
+        recorder: Recorder,
     ) -> None:
         """Prepare; ``program`` is play-launch on this machine."""
         self.config = config
         self._program = program
         self._show = show
-        self._record = record
+        self._recorder = recorder
         self._met_changed = asyncio.Event()
         self._changed = asyncio.Event()
         """Set when the state of a machine has changed."""
@@ -113,6 +114,7 @@ class Coordinator:
             config,
             arguments,
             self._program,
+            self._recorder.clock.now,
             on_event=self._take,
             on_met=self._met_changed.set,
             on_change=self._note,
@@ -124,7 +126,7 @@ class Coordinator:
 
     def publish(self, event: RunEvent) -> None:
         """Take an event of the coordinator itself."""
-        self._record(event)
+        self._recorder.publish(event)
         self._take("", event_object(event) | words_of(event)._asdict())
 
     def _take(self, machine: str, event: dict[str, Any]) -> None:
@@ -133,7 +135,7 @@ class Coordinator:
         self._show(machine, event)
 
     def recordings(self) -> list[dict[str, Any]]:
-        """Say where all parts are and were recorded, and by how much their clocks are ahead."""
+        """Say where all parts are and were recorded, and how much their clocks were ahead."""
         for part in self.parts.values():
             if part.hello:
                 self._recordings[part.hello["session"]] = {
@@ -141,7 +143,7 @@ class Coordinator:
                     "local": part.machine.local,
                     "ssh": part.machine.ssh,
                     "folder": part.hello["folder"],
-                    "offset_ns": part.offset_ns,
+                    "offsets": part.clock.offsets,
                 }
         return [*self._recordings.values()]
 

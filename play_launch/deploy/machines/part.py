@@ -16,7 +16,7 @@ from play_launch.config.machines import Service
 from play_launch.control.feed import USUAL_KINDS
 from play_launch.control.protocol import OperationError
 from play_launch.deploy.machines.bundle import BUSY, Bundle, files_of, require_fit
-from play_launch.deploy.machines.channel import Channel, clock_offset
+from play_launch.deploy.machines.channel import Channel, OtherClock
 from play_launch.deploy.machines.hosts import HostError, LinkLost, SessionGone, about, connect
 from play_launch.supervisor.events import MachineChanged, MachineState
 
@@ -57,12 +57,14 @@ class Part:
         part: ReplayConfig,
         arguments: Sequence[str],
         program: str,
+        recording_clock: Callable[[], int],
         *,
         on_event: Callable[[str, dict[str, Any]], None],
         on_met: Callable[[], None],
         on_change: Callable[[MachineChanged], None],
     ) -> None:
         """Prepare; ``program`` is play-launch on this machine, for the local part."""
+        self._recording_clock = recording_clock
         self.machine: MachineConfig = part.machines[part.machine]
         self.name = part.machine
         self.config = part
@@ -74,8 +76,7 @@ class Part:
         self.met: list[list[str]] = []
         """Conditions that others wait for."""
         self.hello: dict[str, Any] = {}
-        self.offset_ns: int | None = None
-        """Its clock minus this one's."""
+        self.clock = self._new_clock()
         self.changed = asyncio.Event()
         """Set at each change of the state."""
         self.peers: tuple[str, ...] = ()
@@ -288,6 +289,7 @@ class Part:
             if self.hello:
                 _log.warning("%s: its session was started anew meanwhile", self.name)
             self._seen = 0
+            self.clock = self._new_clock()
         self.hello, self._link = channel.hello, link
         self.put(MachineState.RUNNING)
 
@@ -368,21 +370,13 @@ class Part:
         while True:
             if math.isfinite(lease):
                 await self.ask("lease", {"seconds": lease})
-            if not self.machine.local and time.monotonic() - measured > _CLOCK_PERIOD:
+            if time.monotonic() - measured > _CLOCK_PERIOD:
                 measured = time.monotonic()
-                await self._measure_clock()
+                await self.clock.measure(self.open)
             await asyncio.sleep(min(lease / 4, _CLOCK_PERIOD))
 
-    async def _measure_clock(self) -> None:
-        trip, self.offset_ns = await clock_offset(self.open)
-        limit = self.machine.max_clock_offset
-        if abs(self.offset_ns) > limit * 1e9 + trip / 2:
-            _log.warning(
-                "%s: its clock is %+.0f ms off (measured within %.1f ms); set it by chrony or NTP",
-                self.name,
-                self.offset_ns / 1e6,
-                trip / 2e6,
-            )
+    def _new_clock(self) -> OtherClock:
+        return OtherClock(self.name, self.machine.max_clock_offset, self._recording_clock)
 
     async def _find_out_how_it_ended(self) -> None:
         """Decide what the end of the connection to its session means; raises LinkLost."""
