@@ -5,19 +5,22 @@ from __future__ import annotations
 import asyncio
 import json
 import shutil
+import time
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from play_launch import ExitCode
 from play_launch.cli import options
-from play_launch.cli.output import fail, say, size, warn, whole_file
+from play_launch.cli.output import fail, note, say, size, warn, whole_file
 from play_launch.recording.folder import MACHINES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
 COLLECTED = "all-machines.mcap"
+_NOTED: Final = 5.0
+"""Seconds between two notes of how much has arrived."""
 
 
 def collect(
@@ -82,6 +85,19 @@ def _places(folder: Path, recorded: Sequence[Mapping[str, Any]]) -> list[Path]:
     return found
 
 
+def _noted_now_and_then(machine: str) -> Callable[[int, int], None]:
+    """Return what notes how much of the recording of a machine has arrived."""
+    noted = time.monotonic()
+
+    def arrived(done: int, total: int) -> None:
+        nonlocal noted
+        if time.monotonic() - noted > _NOTED:
+            noted = time.monotonic()
+            note(f"{machine}: {size(done)} of {size(total)}")
+
+    return arrived
+
+
 async def _fetch(recorded: Sequence[Mapping[str, Any]], places: Sequence[Path]) -> set[str]:
     """Fetch all recordings at once; return the machines of which one is missing."""
     from play_launch.config.machines import MachineConfig  # noqa: PLC0415
@@ -96,7 +112,7 @@ async def _fetch(recorded: Sequence[Mapping[str, Any]], places: Sequence[Path]) 
         try:
             host = await connect(machine)
             try:
-                await host.get(about["folder"], half)
+                await host.get(about["folder"], half, _noted_now_and_then(name))
             finally:
                 host.close()
             # What was completed from an earlier, shorter copy must not stay.

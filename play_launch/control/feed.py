@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections import deque
-from typing import TYPE_CHECKING, Final, NamedTuple
+from heapq import merge
+from operator import itemgetter
+from typing import TYPE_CHECKING, Final, Generic, NamedTuple, TypeVar
 
 from play_launch.config.node_key import NodeKey
 from play_launch.control.event_words import EVENT_TYPES, event_object, names_of, words_of
@@ -21,14 +24,97 @@ if TYPE_CHECKING:
 
 KINDS: Final = frozenset(EVENT_TYPES.values())
 USUAL_KINDS: Final = KINDS - {"output", "process_sample", "group_sample", "system_sample"}
-EVENTS_LIMIT: Final = 2000
-"""Events other than output that are kept; the recording has all."""
-LINES_LIMIT: Final = 300
-"""Lines of output that are kept of each process."""
-TEXT_LIMIT: Final = 64 * 1024
-"""Characters of these lines."""
-QUEUE_LIMIT: Final = 5000
-"""Events that wait for one client; further ones are dropped and counted."""
+_MISSED_PERIOD: Final = 5.0
+"""Seconds between two reports of what a slow client missed."""
+
+
+class Limits(NamedTuple):
+    """How much is held; further messages displace the oldest ones."""
+
+    events: int
+    """Events other than output."""
+    lines: int
+    """Lines of output of each process."""
+    text: int
+    """Characters of these lines."""
+
+
+KEPT: Final = Limits(events=2000, lines=300, text=64 * 1024)
+"""Of recent events; the recording has all."""
+WAITING: Final = Limits(events=5000, lines=5000, text=256 * 1024)
+"""For one client."""
+
+_T = TypeVar("_T")
+
+
+class Backlog(Generic[_T]):
+    """The latest messages in their order; lines of a process displace only older lines of it."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._count = 0
+        self._events: deque[tuple[int, _T]] = deque()
+        self._lines: dict[str, _Lines[_T]] = {}
+
+    def append(self, message: _T, process: str = "", size: int = 0) -> int:
+        """Take a message, and return how many it displaced.
+
+        With ``process`` it is a line of output of that, of ``size`` characters.
+        """
+        self._count += 1
+        numbered = (self._count, message)
+        if process:
+            lines = self._lines.setdefault(process, _Lines())
+            return lines.append(numbered, size, self._limits)
+        self._events.append(numbered)
+        if len(self._events) <= self._limits.events:
+            return 0
+        self._events.popleft()
+        return 1
+
+    def __bool__(self) -> bool:
+        return bool(self._events or self._lines)
+
+    def __iter__(self) -> Iterator[_T]:
+        lines = (each.messages for each in self._lines.values())
+        return (message for _, message in merge(self._events, *lines, key=itemgetter(0)))
+
+    def pop(self) -> _T:
+        """Take the oldest message out."""
+        oldest = min(self._lines, key=lambda each: self._lines[each].messages[0][0], default=None)
+        if oldest is None:
+            return self._events.popleft()[1]
+        lines = self._lines[oldest]
+        if self._events and self._events[0][0] < lines.messages[0][0]:
+            return self._events.popleft()[1]
+        _, message = lines.pop()
+        if not lines.messages:
+            del self._lines[oldest]
+        return message
+
+
+class _Lines(Generic[_T]):
+    """The last lines of one process."""
+
+    def __init__(self) -> None:
+        self.messages: deque[tuple[int, _T]] = deque()
+        self._sizes: deque[int] = deque()
+        self._text = 0
+
+    def append(self, message: tuple[int, _T], size: int, limits: Limits) -> int:
+        self.messages.append(message)
+        self._sizes.append(size)
+        self._text += size
+        count = len(self.messages)
+        while len(self.messages) > limits.lines or (
+            self._text > limits.text and len(self.messages) > 1
+        ):
+            self.pop()
+        return count - len(self.messages)
+
+    def pop(self) -> tuple[int, _T]:
+        self._text -= self._sizes.popleft()
+        return self.messages.popleft()
 
 
 class Numbered(NamedTuple):
@@ -42,10 +128,9 @@ class Feed:
     """Sink that keeps recent events. Belongs to the thread of the event loop."""
 
     def __init__(self) -> None:
-        self._events: deque[Numbered] = deque(maxlen=EVENTS_LIMIT)
+        self._kept: Backlog[Numbered] = Backlog(KEPT)
         self._count = 0
         """Of all events so far; each has its number from it."""
-        self._lines: dict[str, _Lines] = {}
         self._followers: list[Callable[[Numbered], None]] = []
         self._loop: asyncio.AbstractEventLoop | None = None
 
@@ -65,8 +150,7 @@ class Feed:
 
     def recent(self, since: int = 0) -> list[Numbered]:
         """Return the events that are kept, by their stamps: those after the number ``since``."""
-        lines = (line for each in self._lines.values() for line in each.lines)
-        found = [each for each in (*self._events, *lines) if each.number > since]
+        found = [each for each in self._kept if each.number > since]
         return sorted(found, key=lambda each: each.event.stamp_ns)
 
     @contextlib.contextmanager
@@ -81,32 +165,10 @@ class Feed:
     def _append(self, event: RunEvent) -> None:
         self._count += 1
         numbered = Numbered(self._count, event)
-        if isinstance(event, OutputLine):
-            lines = self._lines.get(event.process)
-            if lines is None:
-                lines = self._lines[event.process] = _Lines()
-            lines.append(numbered, len(event.text))
-        elif not isinstance(event, Sample):
-            self._events.append(numbered)
+        if not isinstance(event, Sample):
+            self._kept.append(numbered, *line_of(event))
         for follower in self._followers:
             follower(numbered)
-
-
-class _Lines:
-    """The last lines of one process."""
-
-    def __init__(self) -> None:
-        self.lines: deque[Numbered] = deque()
-        self._sizes: deque[int] = deque()
-        self._text = 0
-
-    def append(self, line: Numbered, size: int) -> None:
-        self.lines.append(line)
-        self._sizes.append(size)
-        self._text += size
-        while len(self.lines) > LINES_LIMIT or (self._text > TEXT_LIMIT and len(self.lines) > 1):
-            self.lines.popleft()
-            self._text -= self._sizes.popleft()
 
 
 class Selection:
@@ -130,35 +192,39 @@ class Selection:
         return not self._loggers.isdisjoint(loggers_in(event.text))
 
 
-class Follower:
-    """Queue of the events for one client, which may read slowly or never."""
+class Waiting:
+    """Messages that wait for one client, which may read slowly or never."""
 
-    def __init__(self, selection: Selection) -> None:
-        self._selection = selection
-        self._queue: asyncio.Queue[Numbered] = asyncio.Queue(QUEUE_LIMIT)
+    def __init__(self) -> None:
+        self._backlog: Backlog[Callable[[], object]] = Backlog(WAITING)
         self._missed = 0
+        self._arrived = asyncio.Event()
 
-    def append(self, each: Numbered) -> None:
-        if self._selection.wants(each.event):
-            try:
-                self._queue.put_nowait(each)
-            except asyncio.QueueFull:
-                self._missed += 1
+    def append(self, message: Callable[[], object], process: str = "", size: int = 0) -> None:
+        """Take a message as `Backlog.append` does; it is made when it is sent."""
+        self._missed += self._backlog.append(message, process, size)
+        self._arrived.set()
 
-    async def send_all(self, events: Iterable[Numbered], send: Send) -> None:
-        for each in events:
-            if self._selection.wants(each.event):
-                await send("event", _message(each))
-
-    async def follow(self, send: Send) -> None:
-        """Send queued events until this is cancelled, and how many were dropped."""
+    async def send(self, send: Send) -> None:
+        """Send messages until this is cancelled, and how many were missed."""
+        loop = asyncio.get_running_loop()
+        told = -math.inf
         while True:
-            await send("event", _message(await self._queue.get()))
-            if self._missed and self._queue.empty():
-                missed, self._missed = self._missed, 0
-                await send("missed", missed)
+            while self._backlog:
+                await send("event", self._backlog.pop()())
+                if self._missed and (not self._backlog or loop.time() > told + _MISSED_PERIOD):
+                    told = loop.time()
+                    missed, self._missed = self._missed, 0
+                    await send("missed", missed)
+            self._arrived.clear()
+            await self._arrived.wait()
 
 
-def _message(each: Numbered) -> dict[str, object]:
+def line_of(event: RunEvent) -> tuple[str, int]:
+    """Return process and size of a line of output; of another event the empty string and 0."""
+    return (event.process, len(event.text)) if isinstance(event, OutputLine) else ("", 0)
+
+
+def message_of(each: Numbered) -> dict[str, object]:
     """Return the fields of an event, its words and its number."""
     return event_object(each.event) | words_of(each.event)._asdict() | {"number": each.number}

@@ -12,7 +12,7 @@ from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import NODE_PARAMETERS
 from play_launch.control.actions import ActionLog, Actions
 from play_launch.control.coordinated import Coordinated, Facts, Lease
-from play_launch.control.feed import KINDS, Follower, Selection
+from play_launch.control.feed import KINDS, Selection, Waiting, line_of, message_of
 from play_launch.control.messages import (
     ActionRequest,
     ChangeRequest,
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 
     from play_launch.config.model import ReplayConfig
-    from play_launch.control.feed import Feed
+    from play_launch.control.feed import Feed, Numbered
     from play_launch.control.messages import Caller, Request
     from play_launch.control.units import Samples, Target
     from play_launch.recording.recorder import Recorder
@@ -192,12 +192,19 @@ class Operations:
             text = f"kinds: there are no events {min(wrong)!r:.80}; there are: {listed}"
             raise OperationError(Code.BAD_ARGUMENTS, text)
         targets = self._chosen(request.names) if request.names else None
-        follower = Follower(Selection(request.kinds, targets))
+        selection, waiting = Selection(request.kinds, targets), Waiting()
+
+        def append(each: Numbered) -> None:
+            if selection.wants(each.event):
+                waiting.append(partial(message_of, each), *line_of(each.event))
+
         past = [] if request.only_new else self._feed.recent(request.since)
-        with self._feed.followed_by(follower.append):
-            await follower.send_all(past, caller.send)
+        with self._feed.followed_by(append):
+            for each in past:
+                if selection.wants(each.event):
+                    await caller.send("event", message_of(each))
             if request.follow:
-                await follower.follow(caller.send)
+                await waiting.send(caller.send)
         return {"events": "sent"}
 
     async def _parameters(self, request: Selected, _caller: Caller) -> list[ParameterNames]:

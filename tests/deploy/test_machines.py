@@ -2,33 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
 import os
-import re
 import signal
 import subprocess
-import time
-from collections.abc import Iterator
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-from mcap.reader import McapReader, make_reader
 
 from play_launch.deploy.machines.namespaces import missing
-from play_launch.postmortem.archive import session_entry
 from tests.support.hosts import Hosts, running, supervisors, system
 from tests.support.replay import COMMAND
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"hosts: {missing()}")
-
-
-@contextlib.contextmanager
-def make_reader_of(path: Path) -> Iterator[McapReader]:
-    with path.open("rb") as file:
-        yield make_reader(file)
 
 
 def test_one_view_and_one_end_of_three_machines(net: Hosts, tmp_path: Path) -> None:
@@ -74,94 +62,6 @@ def test_one_view_and_one_end_of_three_machines(net: Hosts, tmp_path: Path) -> N
     assert not supervisors(net, 3)
 
 
-def test_the_recordings_of_all_machines_become_one(net: Hosts, tmp_path: Path) -> None:
-    with running(net, system(tmp_path, "whole")) as whole:
-        whole.loaded()
-        os.kill(whole.rows()["/talker"]["pid"], signal.SIGSEGV)
-        until(lambda: whole.rows()["/talker"]["crashes"] == 1, "the crash")
-        until(lambda: whole.rows()["/talker"]["state"] == "loaded", "the reload")
-        whole.stop()
-    folder = net.home / ".ros/play_launch/latest"
-    assert folder.resolve().name.endswith("-whole")
-    entry = session_entry(folder.resolve())
-    assert entry is not None
-    assert not entry.is_pinned, "it may be removed like any other"
-    done = net.run("collect", "--json")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["missing"] == []
-    explained = subprocess.run(
-        [COMMAND, "explain", folder / "all-machines.mcap"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert "/talker" in explained.stdout
-    assert "SIGSEGV" in explained.stdout
-    assert re.search(r"declared in whole.yaml:\d+; on machine h2\.", explained.stdout)
-    again = net.run("rerun", str(folder / "all-machines.mcap"))
-    assert again.returncode == 5
-    assert "the decisions of several machines; rerun the recording of one" in again.stdout
-    (part,) = (folder / "h2").iterdir()
-    assert "as recorded" in net.run("rerun", str(part)).stdout
-    with make_reader_of(folder / "all-machines.mcap") as reader:
-        times = [message.log_time for _, _, message in reader.iter_messages(log_time_order=False)]
-        assert times == sorted(times)
-        data = [message.data for _, _, message in reader.iter_messages()]
-        assert any(b"tick 2" in each for each in data)
-        assert any(b"Hello World" in each for each in data)
-
-
-SHIFTED_CLOCK = """\
-#include <dlfcn.h>
-#include <time.h>
-#include <unistd.h>
-extern "C" int clock_gettime(clockid_t clock, timespec* now) {
-  static void* const real = dlsym(RTLD_NEXT, "clock_gettime");
-  const int result = reinterpret_cast<decltype(&clock_gettime)>(real)(clock, now);
-  if (clock == CLOCK_REALTIME && access(CLOCK_IS_SET, F_OK) != 0) now->tv_sec -= 400 * 86400;
-  return result;
-}
-"""
-"""Of a computer without a battery for its clock, until NTP sets it."""
-
-
-def test_recordings_agree_on_the_time_although_a_clock_was_set(net: Hosts, tmp_path: Path) -> None:
-    source, library, is_set = tmp_path / "clock.cpp", tmp_path / "clock.so", tmp_path / "set"
-    source.write_text(SHIFTED_CLOCK)
-    define = f'-DCLOCK_IS_SET="{is_set}"'
-    subprocess.run(["c++", "-shared", "-fPIC", define, source, "-o", library], check=True)
-    (tmp_path / "setup.bash").write_text(f"export LD_PRELOAD={library}")
-    path = system(tmp_path, "clocks")
-    setup = f"h2: {{setup: [{tmp_path}/setup.bash], "
-    path.write_text(path.read_text().replace("h2: {", setup))
-    before = time.time_ns()
-    with running(net, path) as whole:
-        whole.loaded()
-        until(lambda: "its clock is -34560000" in whole.printed(), "the warning")
-        is_set.touch()
-        net.set_link(2, "down")
-        until(lambda: whole.rows()["/talker"]["state"] == "unreachable", "the loss")
-        net.set_link(2, "up")
-        until(lambda: whole.rows()["/talker"]["state"] == "loaded", "the connection")
-        os.kill(whole.rows()["/talker"]["pid"], signal.SIGSEGV)
-        until(lambda: whole.rows()["/talker"]["crashes"] == 1, "the crash")
-        until(lambda: whole.rows()["/talker"]["state"] == "loaded", "the reload")
-        whole.stop()
-    warnings = [line for line in whole.printed().splitlines() if "its clock is -" in line]
-    assert len(warnings) == 1
-    net.run("collect", code=0)
-    merged = net.home / ".ros/play_launch/latest/all-machines.mcap"
-    with make_reader_of(merged) as reader:
-        times = {message.log_time for _, _, message in reader.iter_messages(log_time_order=False)}
-    second = 1_000_000_000
-    assert before - second < min(times)
-    assert max(times) < time.time_ns() + second
-    found = json.loads(net.run("explain", "--json", str(merged), code=1).stdout)
-    crash = next(each for each in found["findings"] if each["name"] == "/talker")
-    assert before < crash["times_ns"][0] < time.time_ns()
-
-
 def test_a_cut_loses_no_line_and_stops_nothing(net: Hosts, tmp_path: Path) -> None:
     with running(net, system(tmp_path, "cut")) as cut:
         rows = cut.loaded().rows()
@@ -188,6 +88,48 @@ def test_a_cut_loses_no_line_and_stops_nothing(net: Hosts, tmp_path: Path) -> No
     explained = net.run("explain", code=1).stdout
     assert "machine h3 could not be reached at " in explained
     assert "\n  Cause: the connection is lost: " in explained
+
+
+SLOW = """\
+import socket, sys, threading, time
+from os import read, write
+
+def carry(take, give):
+    while data := take():
+        give(data)
+        time.sleep(len(data) / 400_000)
+
+server = socket.create_connection((sys.argv[1], 22))
+server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+threading.Thread(target=carry, args=(lambda: read(0, 4096), server.sendall), daemon=True).start()
+carry(lambda: server.recv(4096), lambda data: write(1, data))
+"""
+"""Carries an ssh connection, 400 kB/s each way."""
+
+
+def test_lines_that_flood_a_slow_connection_hold_up_nothing(net: Hosts, tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(SLOW)
+    ssh = net.home / ".ssh/config"
+    before = ssh.read_text()
+    proxy = f"{sys.executable} {tmp_path}/slow.py %h"
+    ssh.write_text(f"Host h3 10.77.0.3\n  ProxyCommand {proxy}\n{before}")
+    path = system(tmp_path, "flooded")
+    text = "i=0; while :; do echo $((i += 1)) $(printf %0150d 0); done"
+    with path.open("a") as file:
+        file.write(f"  - {{name: flood, machine: h3, command: [bash, -c, '{text}']}}\n")
+    try:
+        with running(net, path) as flooded:
+            flooded.loaded()
+            until(lambda: "came faster than its connection carries" in flooded.printed(), "a flood")
+            for _ in range(5):
+                assert flooded.rows()["/flood"]["state"] == "running"
+            seen = flooded.printed().count('"tick ')
+            until(lambda: flooded.printed().count('"tick ') > seen + 10, "lines of another one")
+            flooded.stop()
+        ticks = flooded.ticks()
+        assert ticks == list(range(1, ticks[-1] + 1))
+    finally:
+        ssh.write_text(before)
 
 
 def test_a_stop_amid_the_start_leaves_nothing(net: Hosts, tmp_path: Path) -> None:
@@ -322,30 +264,6 @@ def test_a_coordinator_that_was_killed_is_followed_by_one_that_adopts(
         }
         second.stop()
     assert not supervisors(net, 2)
-
-
-def test_a_session_that_was_killed_is_started_again(net: Hosts, tmp_path: Path) -> None:
-    with running(net, system(tmp_path, "killed")) as killed:
-        before = killed.loaded().rows()["/listen"]["pid"]
-        (pid,) = supervisors(net, 3)
-        os.kill(pid, signal.SIGKILL)
-        until(
-            lambda: (
-                killed.rows().get("/listener", {}).get("state") == "loaded"
-                and killed.rows()["/listen"]["pid"] != before
-            ),
-            "the new one",
-        )
-        killed.stop()
-    done = net.run("collect", "--json")
-    assert done.returncode == 0, done.stderr
-    with make_reader_of(Path(json.loads(done.stdout)["output"])) as reader:
-        every = [message.data for _, _, message in reader.iter_messages()]
-    firsts = [data for data in every if b"tick 1\0" in data]
-    assert len(firsts) == 2, "also what was recorded before the supervisor was killed"
-    explained = net.run("explain", json.loads(done.stdout)["output"])
-    assert "machine h3 was started again at " in explained.stdout
-    assert "Cause: the supervisor of its session was killed." in explained.stdout
 
 
 def test_a_session_that_is_killed_again_and_again_is_given_up(net: Hosts, tmp_path: Path) -> None:

@@ -11,19 +11,25 @@ import contextlib
 import os
 import shlex
 import socket
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 from play_launch import UserError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from play_launch.config.machines import MachineConfig
 
+Arrived: TypeAlias = "Callable[[int, int], None]"
+"""Takes the bytes that have arrived, and those that there are."""
 _MARKER: Final = "==play-launch=="
 _KEEPALIVES: Final = 3
 """Unanswered ones, after which ssh gives a connection up; the last is waited for as well."""
+_WINDOW: Final = 32 * 1024
+"""Bytes of a channel on their way at most: a stop must not wait for the lines of a node that
+writes more than the link carries."""
 _COMMAND_LIMIT: Final = 60.0
 """Seconds for a command: the check of a configuration from a cold disk."""
 _ABOUT: Final = """\
@@ -79,7 +85,10 @@ class Host(Protocol):
 
     async def run(self, script: str, limit: float = _COMMAND_LIMIT) -> Output: ...
     async def put(self, files: Mapping[str, bytes]) -> None: ...
-    async def get(self, folder: str, target: Path) -> None: ...
+    async def get(self, folder: str, target: Path, arrived: Arrived) -> None:
+        """Copy the files of a folder, and report how much of them has arrived now and then."""
+        ...
+
     async def open(self, path: str) -> tuple[Reader, Any]:
         """Connect to the socket of a session; raises SessionGone where nothing listens."""
         ...
@@ -142,7 +151,7 @@ class LocalHost:
         except OSError as error:
             raise HostError(f"files cannot be written here: {error}") from None
 
-    async def get(self, folder: str, target: Path) -> None:
+    async def get(self, folder: str, target: Path, arrived: Arrived) -> None:  # noqa: ARG002
         await asyncio.to_thread(_copy_files, Path(folder), target)
 
     async def open(self, path: str) -> tuple[Reader, Any]:
@@ -164,6 +173,10 @@ class LocalHost:
 
     def close(self) -> None:
         """Do nothing: there is no connection."""
+
+
+def _add(arrived: Arrived, before: int, total: int, _from: bytes, _to: bytes, *sizes: int) -> None:
+    arrived(before + sizes[0], total)
 
 
 def _write(files: Mapping[str, bytes]) -> None:
@@ -238,22 +251,29 @@ class SshHost:
                     if await sftp.getsize(name) != len(content):
                         raise HostError(f"files cannot be written there: {name} is incomplete")
 
-    async def get(self, folder: str, target: Path) -> None:
+    async def get(self, folder: str, target: Path, arrived: Arrived) -> None:
         await asyncio.to_thread(target.mkdir, parents=True, exist_ok=True)
         with self._losses():
             async with self._connection.start_sftp_client() as sftp:
+                sizes: dict[str, int] = {}
                 for name in await sftp.listdir(folder):
-                    source = f"{folder}/{name}"
                     # The other machine chooses the names.
-                    if name == Path(name).name and await sftp.isfile(source):
-                        await sftp.get(source, target / name)
+                    if name == Path(name).name and await sftp.isfile(f"{folder}/{name}"):
+                        sizes[name] = await sftp.getsize(f"{folder}/{name}") or 0
+                before, total = 0, sum(sizes.values())
+                for name, size in sizes.items():
+                    done = partial(_add, arrived, before, total)
+                    await sftp.get(f"{folder}/{name}", target / name, progress_handler=done)
+                    before += size
 
     async def open(self, path: str) -> tuple[Reader, Any]:
         import asyncssh  # noqa: PLC0415 - it is imported
 
         with self._losses():
             try:
-                return await self._connection.open_unix_connection(path)  # type: ignore[no-any-return]
+                return await self._connection.open_unix_connection(  # type: ignore[no-any-return]
+                    path, window=_WINDOW
+                )
             except asyncssh.ChannelOpenError as error:
                 raise SessionGone(error.reason) from None
 

@@ -326,10 +326,17 @@ class Part:
                 if event is not None:
                     self._seen = max(self._seen, event["number"])
                     self.ends_all |= event.get("sequel") == "shutdown"
-                    self._stale.set()
+                    if event["event"] != "output":
+                        self._stale.set()
                     self._on_event(self.name, event)
                 elif "missed" in message:
-                    _log.warning("%s: %s events were skipped", self.name, message["missed"])
+                    _log.warning(
+                        "%s: %s events came faster than its connection carries; its recording "
+                        "has them",
+                        self.name,
+                        message["missed"],
+                    )
+
         finally:
             channel.close()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import deque
 from typing import TYPE_CHECKING, Any, Final
 
 import anyio
@@ -12,6 +11,7 @@ from msgspec import json, to_builtins
 
 from play_launch.config.model import ContainerConfig
 from play_launch.config.node_key import NodeKey
+from play_launch.control.feed import KEPT, Backlog, Waiting
 from play_launch.control.messages import (
     ChangeRequest,
     EventsRequest,
@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     Change = Callable[[ChangeRequest, Caller], Awaitable[object]]
     """Carries out `apply`."""
 
-_EVENTS: Final = 5000
-"""Events of all machines that are kept for clients."""
-_QUEUE: Final = 5000
 _ACTIONS: Final = frozenset((*MEMBER_ACTIONS, *NODE_ACTIONS, "signal", "wait"))
 _OTHERS: Final = ("apply", "environment", "events", "expectations", "recording", "snapshot")
 _LISTS: Final = frozenset(("ps", "status", "parameters"))
@@ -70,7 +67,7 @@ class Requests:
     def __init__(self, parts: Mapping[str, Part], change: Change) -> None:
         self._parts = parts
         self._change = change
-        self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
+        self._events: Backlog[dict[str, Any]] = Backlog(KEPT)
         self._followers: list[Callable[[dict[str, Any]], None]] = []
 
     async def __call__(self, request: Request, caller: Caller) -> object:
@@ -241,37 +238,35 @@ class Requests:
 
     def take(self, event: dict[str, Any]) -> None:
         """Take an event of any machine."""
-        self._events.append(event)
+        self._events.append(event, *_line_of(event))
         for follower in self._followers:
             follower(event)
 
     async def _follow(self, request: EventsRequest, caller: Caller) -> object:
         """Send the events of all machines, as `events` of one session does."""
         wanted = _Wanted(request, self._by_machine(request.names) if request.names else None)
-        queue: asyncio.Queue[dict[str, Any]] = asyncio.Queue(_QUEUE)
-        missed = 0
+        waiting = Waiting()
 
         def append(event: dict[str, Any]) -> None:
-            nonlocal missed
             if wanted(event):
-                try:
-                    queue.put_nowait(event)
-                except asyncio.QueueFull:
-                    missed += 1
+                waiting.append(lambda: event, *_line_of(event))
 
         past = [] if request.only_new else [each for each in self._events if wanted(each)]
         self._followers.append(append)
         try:
             for event in sorted(past, key=lambda each: each["stamp_ns"]):
                 await caller.send("event", event)
-            while request.follow:
-                await caller.send("event", await queue.get())
-                if missed and queue.empty():
-                    count, missed = missed, 0
-                    await caller.send("missed", count)
+            if request.follow:
+                await waiting.send(caller.send)
         finally:
             self._followers.remove(append)
         return {"events": "sent"}
+
+
+def _line_of(event: Mapping[str, Any]) -> tuple[str, int]:
+    if event["event"] != "output":
+        return "", 0
+    return f"{event['machine']}:{event['process']}", len(event["text"])
 
 
 class _Wanted:
