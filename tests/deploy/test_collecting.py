@@ -118,11 +118,22 @@ def test_recordings_agree_on_the_time_although_a_clock_was_set(net: Hosts, tmp_p
     assert before < crash["times_ns"][0] < time.time_ns()
 
 
-def test_a_session_that_was_killed_is_started_again(net: Hosts, tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_cut", [False, True])
+def test_a_session_that_was_killed_is_started_again(
+    net: Hosts, tmp_path: Path, is_cut: bool
+) -> None:
     with running(net, system(tmp_path, "killed")) as killed:
         before = killed.loaded().rows()["/listen"]["pid"]
         (pid,) = supervisors(net, 3)
-        os.kill(pid, signal.SIGKILL)
+        if is_cut:
+            net.set_link(3, "down")
+            try:
+                until(lambda: "h3 is unreachable" in killed.printed(), "the lost connection")
+                os.kill(pid, signal.SIGKILL)
+            finally:
+                net.set_link(3, "up")
+        else:
+            os.kill(pid, signal.SIGKILL)
         until(
             lambda: (
                 killed.rows().get("/listener", {}).get("state") == "loaded"

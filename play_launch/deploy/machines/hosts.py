@@ -220,7 +220,10 @@ class SshHost:
                 f"`ssh {name} true` (a machine that was set up anew: `ssh-keygen -R {name}` first)"
             ) from None
         except asyncssh.PermissionDenied:
-            raise HostError(f"ssh does not let you in; try `ssh-copy-id {name}`") from None
+            raise HostError(
+                f"ssh does not let you in; try `ssh-copy-id {name}`, and `ssh-add` for a key "
+                "with a passphrase"
+            ) from None
         except socket.gaierror as error:
             raise HostError(
                 f"the name {name} is not known ({error.strerror}); give it an alias in "

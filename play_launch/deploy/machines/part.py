@@ -386,7 +386,7 @@ class Part:
         return OtherClock(self.name, self.machine.max_clock_offset, self._recording_clock)
 
     async def _find_out_how_it_ended(self) -> None:
-        """Decide what the end of the connection to its session means; raises LinkLost."""
+        """Attach to its session if it runs, else decide how it ended; raises LinkLost."""
         if link := await self._running():
             await self._attach(link)
             return
@@ -426,15 +426,14 @@ class Part:
                 self.reason = str(error)
                 await asyncio.sleep(pause)
                 pause = min(2 * pause, longest)
-        link = await self._running()
-        if link:
+        if self.hello and self._about.boot == boot:
+            await self._find_out_how_it_ended()
+        elif link := await self._running():
             await self._attach(link)
-        elif self._about.boot != boot or not self.hello:
+        else:
             _log.warning("%s: it was booted anew; its part is started", self.name)
             await self.adopt(self.config, await self.bring(self.config))
             await self._attach(await self._start())
-        else:
-            self.put(MachineState.ENDED, "its session has ended while it was unreachable")
 
     def put(self, state: MachineState, reason: str = "") -> None:
         self.state, self.reason, self.since_ns = state, reason, time.time_ns()
