@@ -133,7 +133,9 @@ class Background(Struct):
         await self._system_is_up()
         from play_launch.recording.topic_recorder.supervision import TopicRecording  # noqa: PLC0415
 
-        recording = TopicRecording(self.config, self.session.recorder, self._judge)
+        recording = TopicRecording(
+            self.config, self.session.recorder, self._judge, self.expectations.forget
+        )
         if self.config.record.before_crash is None:
             await recording.run()
             return

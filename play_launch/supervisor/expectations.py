@@ -24,6 +24,8 @@ _SETTLES: Final = 10.0
 """Seconds after the start of the system in which nothing is expected yet."""
 _AGREE: Final = {True: 3, False: 2}
 """Judgements in a row that it takes until it is met, or broken."""
+_HELD_UP_NS: Final = 3_000_000_000
+"""A measurement over more time says that what measures was held up, not the topic."""
 
 
 class Measured(Struct, frozen=True):
@@ -85,6 +87,11 @@ class Expectations:
         if topic is not None and topic.take(measured, is_up=is_up):
             yield _event(topic.state, stamp_ns)
 
+    def forget(self, reason: str) -> None:
+        """Take that nothing measures the topics now, and why; no change follows from that."""
+        for topic in self._topics.values():
+            topic.forget(reason)
+
 
 def _event(state: TopicState, stamp_ns: int) -> ExpectationChanged:
     return ExpectationChanged(
@@ -97,10 +104,12 @@ class _Topic:
         self._expected = expected
         self._window: deque[Measured] = deque()
         self._seconds = 0.0
-        """In which the system was up."""
+        """In which it was measured while the system was up."""
         self._judged: bool | None = None
         self._agreeing = 0
         """Equal judgements in a row."""
+        self._told: bool | None = None
+        """Whether it was met by the latest change; None before the first one."""
         self.state = TopicState(expected.topic)
         least = _MESSAGES / expected.min_rate if expected.min_rate else 0.0
         gap = expected.max_gap if math.isfinite(expected.max_gap) else 0.0
@@ -108,6 +117,10 @@ class _Topic:
 
     def take(self, measured: Measured, *, is_up: bool) -> bool:
         """Take a measurement; whether the state has changed."""
+        if measured.span_ns > _HELD_UP_NS:
+            self._window.clear()
+            self._agreeing = 0
+            return False
         self._window.append(measured)
         self._seconds += measured.span_ns / 1e9 if is_up else 0.0
         while sum(each.span_ns for each in self._window) - self._window[0].span_ns >= self._span_ns:
@@ -122,10 +135,11 @@ class _Topic:
         self._agreeing = self._agreeing + 1 if is_met is self._judged else 1
         self._judged = is_met
         is_sure = self._agreeing >= _AGREE[is_met] and (is_full if is_met else self._is_due)
-        changes = is_sure and is_met is not was.is_met
+        changes = is_sure and is_met is not self._told
+        self._told = is_met if is_sure else self._told
         self.state = TopicState(
             topic=was.topic,
-            is_met=is_met if changes else was.is_met,
+            is_met=is_met if is_sure else was.is_met,
             reason=problems,
             publishers=measured.publishers,
             type=measured.types,
@@ -134,6 +148,12 @@ class _Topic:
             breaks=was.breaks + (changes and not is_met),
         )
         return changes
+
+    def forget(self, reason: str) -> None:
+        self._window.clear()
+        self._seconds = 0.0
+        self._agreeing = 0
+        self.state = TopicState(self.state.topic, reason=reason, breaks=self.state.breaks)
 
     @property
     def _is_due(self) -> bool:

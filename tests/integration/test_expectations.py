@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from unittest.mock import ANY
 
+import psutil
 import pytest
 
 from play_launch.cli.expect import learned
@@ -18,6 +19,7 @@ from play_launch.control.sessions import connect
 from play_launch.supervisor.expectations import Measured
 from tests.support.replay import replaying, run
 from tests.support.scenes import node, written
+from tests.support.waiting import until
 
 EXPECT = {
     "/chatter": {
@@ -46,6 +48,16 @@ def test_a_topic_is_measured_reported_and_waited_for(tmp_path: Path) -> None:
         (row,) = json.loads(replay.ask("expect", "--json", code=0).stdout)
         assert (row["publishers"], row["type"]) == (1, "std_msgs/msg/String")
         assert 5 <= row["rate"] <= 20
+
+        (recorder,) = [
+            each
+            for each in psutil.Process(replay.pid).children(recursive=True)
+            if each.name() == "topic_recorder"
+        ]
+        recorder.suspend()
+        until(lambda: "not measured for" in replay.ask("expect", code=None).stdout, "silence")
+        recorder.kill()
+        until(lambda: replay.ask("expect", code=None).returncode == 0, "the next measurements")
 
         learned = json.loads(replay.ask("expect", "--learn", "4s", "--json", code=0).stdout)
         assert learned["expect"]["/chatter"] == {

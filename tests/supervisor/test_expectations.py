@@ -104,6 +104,27 @@ def test_what_is_never_there_is_broken_after_a_while_and_not_before() -> None:
     assert [event.is_met for each in none for event in judged.take(each, 0)] == [False]
 
 
+def test_what_measures_may_be_away_or_held_up() -> None:
+    none = [measured(0, publishers=0, types="")] * 5  # found anew, its publishers are not seen yet
+    for held_up in (False, True):
+        judged = Expectations({"/scan": expectation(min_rate=5.0, max_gap=0.5)})
+        events = [event.is_met for each in [measured()] * 5 for event in judged.take(each, 0)]
+        if held_up:
+            late = measured(1, gap_ns=8 * SECOND, span_ns=8 * SECOND)
+            every = [late, *[measured()] * 5]
+        else:
+            judged.forget("not measured: it was killed")
+            (state,) = judged.states
+            assert (state.is_met, state.rate) == (None, None)
+            assert state.reason == "not measured: it was killed"
+            every = [*none, *[measured()] * 5]
+        events += [event.is_met for each in every for event in judged.take(each, 0)]
+        assert events == [True]
+        assert judged.states[0].is_met
+        events = [event.is_met for each in none * 3 for event in judged.take(each, 0)]
+        assert events == [False]
+
+
 def test_a_slow_topic_is_measured_over_a_longer_time() -> None:
     # One message in four seconds: no window of three seconds has that rate.
     slow = [measured(int(second % 4 == 0), gap_ns=4 * SECOND) for second in range(60)]

@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 _RESTARTS: Final = RestartLimits(max_restarts=3, within=60.0, initial=0.5, maximum=8.0)
 _LONGEST_END: Final = 6.0
 """Seconds it has at the end to pass on the rest; it takes at most 5 itself."""
+_SILENCE: Final = 5.0
+"""Seconds without a measurement, of which there is one a second."""
 _LONGEST_SNAPSHOT: Final = 25.0
 """Seconds in which what is held has to be written."""
 _log = logging.getLogger(__name__)
@@ -61,9 +63,13 @@ class TopicRecording:
         config: ReplayConfig,
         recorder: Recorder,
         on_measured: Callable[[Measured], None],
+        on_silence: Callable[[str], None],
     ) -> None:
+        """Prepare; `on_silence` is called when nothing measures topics, with the reason."""
         self._config = config
         self._on_measured = on_measured
+        self._on_silence = on_silence
+        self._silence: asyncio.TimerHandle | None = None
         self._recorder = recorder
         self._program: Path | None = None
         self._guard: SessionGuard | None = None
@@ -159,6 +165,8 @@ class TopicRecording:
         while True:
             began = loop.time()
             reason = await self._live()
+            self._measured_again(None)
+            self._on_silence(f"not measured: {reason}")
             now = loop.time()
             jitter = random.random()  # noqa: S311 - spreads restarts
             history, decision = decide(
@@ -189,6 +197,7 @@ class TopicRecording:
         return f"topic_recorder {ended}"
 
     async def _end(self) -> None:
+        self._measured_again(None)
         if self._child is None or self._link is None:
             return
         self._link.send(wire.packet(wire.Kind.STOP))
@@ -220,9 +229,19 @@ class TopicRecording:
             case wire.Warned():
                 _log.warning("%s", packet.text)
             case Measured():
+                self._measured_again(_SILENCE)
                 self._on_measured(packet)
             case wire.SnapshotSent():
                 self._recorder.after_these(partial(self._when_written, packet))
+
+    def _measured_again(self, limit: float | None) -> None:
+        """Await the next measurement for so many seconds; None: await none."""
+        if self._silence is not None:
+            self._silence.cancel()
+        self._silence = None
+        if limit is not None:
+            reason = f"not measured for {limit:.0f} s: topic_recorder does not go on"
+            self._silence = self._loop.call_later(limit, self._on_silence, reason)
 
     def _when_written(self, packet: wire.SnapshotSent) -> None:
         # In any thread.

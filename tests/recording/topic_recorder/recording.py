@@ -72,7 +72,7 @@ class Recording:
 
     def __init__(self, recorder: CountingRecorder, config: ReplayConfig) -> None:
         self.recorder = recorder
-        self.topics = TopicRecording(config, recorder, lambda _measured: None)
+        self.topics = TopicRecording(config, recorder, lambda _measured: None, lambda _reason: None)
         self.summary: RecordingSummary | None = None
 
     @property
