@@ -7,7 +7,7 @@ import sys
 from bisect import bisect_right
 from contextlib import ExitStack
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+_SET_NS: Final = 60_000_000_000
+"""A publish time that differs more from the log time is of a clock that was set meanwhile."""
+
+
 class MergeError(UserError):
     """A recording cannot be read; the text has its path and the fix."""
 
@@ -28,7 +32,7 @@ class MergeError(UserError):
 
 
 _Placed: TypeAlias = tuple[int, int, Any, Any, Any, int]
-"""Log time in the result, number of the file, schema, channel, message, offset."""
+"""Log time in the result, number of the file, schema, channel, message, publish time."""
 
 
 class Source(NamedTuple):
@@ -73,7 +77,7 @@ def merge(head: Path, sources: Sequence[Source], output: Path) -> int:
         schemas: dict[tuple[str, bytes], int] = {}
         channels: dict[Any, int] = {}
         count = 0
-        for log_time, number, schema, channel, message, offset in heapq.merge(
+        for log_time, number, schema, channel, message, published in heapq.merge(
             *streams, key=itemgetter(0, 1)
         ):
             key = (number, channel.id)
@@ -90,7 +94,7 @@ def merge(head: Path, sources: Sequence[Source], output: Path) -> int:
                 channels[key],
                 log_time,
                 message.data,
-                max(message.publish_time - offset, 0),
+                max(published, 0),
                 message.sequence,
             )
             count += 1
@@ -102,8 +106,12 @@ def _messages(stack: ExitStack, number: int, path: Path, source: Source) -> Iter
     try:
         reader = make_reader(stack.enter_context(path.open("rb")))
         for schema, channel, message in reader.iter_messages():
-            offset = source.ahead(message.log_time)
-            yield max(message.log_time - offset, 0), number, schema, channel, message, offset
+            ahead = source.ahead(message.log_time)
+            log_time = max(message.log_time - ahead, 0)
+            published = message.publish_time - ahead
+            if abs(published - log_time) > _SET_NS:
+                published = log_time
+            yield log_time, number, schema, channel, message, published
     except (OSError, McapError) as error:
         raise MergeError(f"{path}: {error}; `play-launch recover {path}` first") from None
 

@@ -109,7 +109,8 @@ def test_recordings_agree_on_the_time_although_a_clock_was_set(net: Hosts, tmp_p
     net.run("collect", code=0)
     merged = net.home / ".ros/play_launch/latest/all-machines.mcap"
     with make_reader_of(merged) as reader:
-        times = {message.log_time for _, _, message in reader.iter_messages(log_time_order=False)}
+        messages = [message for _, _, message in reader.iter_messages(log_time_order=False)]
+    times = {each for message in messages for each in (message.log_time, message.publish_time)}
     second = 1_000_000_000
     assert before - second < min(times)
     assert max(times) < time.time_ns() + second

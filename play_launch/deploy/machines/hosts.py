@@ -151,7 +151,7 @@ class LocalHost:
         except OSError as error:
             raise HostError(f"files cannot be written here: {error}") from None
 
-    async def get(self, folder: str, target: Path, arrived: Arrived) -> None:  # noqa: ARG002
+    async def get(self, folder: str, target: Path, arrived: Arrived) -> None:  # noqa: ARG002 - it takes no time
         await asyncio.to_thread(_copy_files, Path(folder), target)
 
     async def open(self, path: str) -> tuple[Reader, Any]:
