@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import json
 import logging
 import os
@@ -94,6 +95,7 @@ async def _until_the_end(
     *,
     detach: bool,
 ) -> int:
+    gc.enable()  # see `entry`
     loop = asyncio.get_running_loop()
     stop = StopRequests()
 

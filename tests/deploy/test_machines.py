@@ -148,6 +148,28 @@ def test_a_stop_amid_the_start_leaves_nothing(net: Hosts, tmp_path: Path) -> Non
         assert not supervisors(net, 3)
 
 
+NOTES_COLLECTING = """\
+import atexit, gc, pathlib, sys
+def note():
+    if "replay" in sys.argv and "--machine" not in sys.argv:
+        pathlib.Path(NOTE).write_text(str(gc.isenabled()))
+atexit.register(note)
+"""
+
+
+def test_garbage_is_collected_in_a_coordinator(
+    net: Hosts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    note = tmp_path / "collects"
+    source = NOTES_COLLECTING.replace("NOTE)", f"{str(note)!r})")
+    (tmp_path / "sitecustomize.py").write_text(source)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with running(net, system(tmp_path, "collecting")) as collecting:
+        collecting.loaded()
+        collecting.stop()
+    assert note.read_text() == "True", "each lost connection leaves cycles of objects"
+
+
 def test_all_machines_end_after_the_duration(net: Hosts, tmp_path: Path) -> None:
     done = net.run("replay", str(system(tmp_path, "short")), "--duration", "2s")
     assert done.returncode == 0, done.stdout + done.stderr
