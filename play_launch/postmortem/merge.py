@@ -7,22 +7,19 @@ import sys
 from bisect import bisect_right
 from contextlib import ExitStack
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from play_launch import UserError
+from play_launch.recording.clock import CLOCK_METADATA
 from play_launch.recording.topics import MACHINES_METADATA
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
-
-
-_SET_NS: Final = 60_000_000_000
-"""A publish time that differs more from the log time is of a clock that was set meanwhile."""
 
 
 class MergeError(UserError):
@@ -105,13 +102,14 @@ def merge(head: Path, sources: Sequence[Source], output: Path) -> int:
 def _messages(stack: ExitStack, number: int, path: Path, source: Source) -> Iterator[_Placed]:
     try:
         reader = make_reader(stack.enter_context(path.open("rb")))
+        set_by = {each.name: each.metadata for each in reader.iter_metadata()}
+        jump = int(set_by.get(CLOCK_METADATA, {}).get("ahead_ns", 0))
         for schema, channel, message in reader.iter_messages():
-            ahead = source.ahead(message.log_time)
-            log_time = max(message.log_time - ahead, 0)
-            published = message.publish_time - ahead
-            if abs(published - log_time) > _SET_NS:
-                published = log_time
-            yield log_time, number, schema, channel, message, published
+            log_time = max(message.log_time - source.ahead(message.log_time), 0)
+            late = message.publish_time - message.log_time
+            # It may be from after the clock was set, which log times do not follow.
+            late -= jump if abs(late - jump) < abs(late) else 0
+            yield log_time, number, schema, channel, message, log_time + late
     except (OSError, McapError) as error:
         raise MergeError(f"{path}: {error}; `play-launch recover {path}` first") from None
 

@@ -9,6 +9,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from play_launch.postmortem.merge import MergeError, Source, merge
+from play_launch.recording.clock import CLOCK_METADATA
 from play_launch.recording.topics import MACHINES_METADATA
 
 
@@ -52,6 +53,28 @@ def test_offsets_hold_evenly_between_their_measurements() -> None:
     source = Source("vision", [], [(1000, 100), (2000, 300)])
     assert [source.ahead(time) for time in (0, 1000, 1500, 2000, 9000)] == [100, 100, 200, 300, 300]
     assert Source("", [], []).ahead(5) == 0
+
+
+def test_publish_times_follow_no_clock_that_was_set(tmp_path: Path) -> None:
+    jump, path = 400 * 86_400 * 10**9, tmp_path / "there.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel("/map", "cdr", schema)
+        # Before and after the clock was set, and a latched one that is an hour old.
+        for log_time, published in (
+            (10**13, 10**13),
+            (10**13 + 5, 10**13 + jump),
+            (10**13, 10**12),
+        ):
+            writer.add_message(channel, log_time, b"", published)
+        writer.add_metadata(CLOCK_METADATA, {"ahead_ns": str(jump)})
+        writer.finish()
+    merge(path, [Source("vision", [path], [(0, 1000)])], tmp_path / "out.mcap")
+    with (tmp_path / "out.mcap").open("rb") as file:
+        found = [message.publish_time for _, _, message in make_reader(file).iter_messages()]
+    assert sorted(found) == [10**12 - 1000, 10**13 - 1000, 10**13 - 1000]
 
 
 def test_what_cannot_be_read_is_named_with_the_fix(tmp_path: Path) -> None:
