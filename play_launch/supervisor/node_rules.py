@@ -112,10 +112,8 @@ def _apply(
                 _follow_crash(step, node)
             case _:
                 assert_never(action)
-    container = step.process(node.key.container)
-    if is_slow and node.is_reload and container.lost_locks:
-        reason = f"{node.name} is not loaded again: {node.reason}"
-        process_rules.poisoned(step, container, f"a dead node may have left a lock: {reason}")
+    if is_slow:
+        _check_for_lost_lock(step, step.node(node.key))
 
 
 def _crashed(step: Reduction, before: Node, node: Node, said: NodeReported | None) -> Node:
@@ -294,16 +292,25 @@ def health(step: Reduction, said: HealthReported) -> None:
         culprits = [str(each.key) for each in holders if each.crashed_pid == said.lock_holder]
         reason, culprit = f"a node died with a lock: {waits}", next(iter(culprits), "")
         process_rules.poisoned(step, container, reason, culprit)
-    elif container.lost_locks and container.is_leaking:
-        limit = world.limits.reload_after_leak
+    else:
         for node in world.nodes_of(said.unit):
-            slow = node.is_reload and step.now - node.sent_at > limit + 3 * node.took
-            if slow and node.state in LOADING:
-                why = "is not loaded again, and cleaning up after a dead node failed"
-                process_rules.poisoned(step, container, f"{node.name} {why}")
-                break
+            _check_for_lost_lock(step, node)
     for node in world.nodes_of(said.unit):
         _silence(step, node, said.silences.get(node.attempt, 0.0))
+
+
+def _check_for_lost_lock(step: Reduction, node: Node) -> None:
+    """Kill a container with a lock that a dead node left, if a load takes too long otherwise."""
+    container, lasts = step.process(node.key.container), step.now - node.sent_at
+    may_have = container.runs and container.lost_locks
+    if not may_have or node.state not in LOADING or node.took is None:
+        return
+    limit = max(step.container_of(node).loading_timeout, 3 * node.took)
+    if container.is_leaking:
+        limit = min(limit, step.world.limits.reload_after_leak + 3 * node.took)
+    if lasts >= limit:
+        why = f"a dead node may have left a lock: {node.name} is not loaded again"
+        process_rules.poisoned(step, container, f"{why}: {node.reason}".rstrip(": "))
 
 
 def _silence(step: Reduction, node: Node, seconds: float) -> None:

@@ -216,7 +216,7 @@ class Node(_Unit, frozen=True, kw_only=True):
     """Why it is given up at that time; empty: it is loaded again."""
     cpu_time_ns: int = 0
     loaded_at: float | None = None
-    took: float = 0.0
+    took: float | None = None
     """Seconds of the latest load that was completed."""
     crashed_pid: int = 0
     """Of its process that crashed last."""

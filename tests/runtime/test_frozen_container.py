@@ -182,11 +182,12 @@ def test_answers_without_news_are_no_inputs(monkeypatch: pytest.MonkeyPatch) -> 
     assert run(main()) == 1
 
 
+@pytest.mark.parametrize("follows", ["crash", "operator"])
 @pytest.mark.parametrize(
     ("unquiesced", "leaked", "found_after"), [(0, 0, None), (0, 1, None), (1, 0, 10), (1, 1, 4)]
 )
 async def test_a_reload_that_hangs_after_a_sudden_death_is_a_lock_that_stays_locked(
-    unquiesced: int, leaked: int, found_after: float | None
+    unquiesced: int, leaked: int, found_after: float | None, follows: str
 ) -> None:
     class Poisoned(FakeContainer):
         def construct(self, held: Held) -> None:
@@ -200,7 +201,10 @@ async def test_a_reload_that_hangs_after_a_sudden_death_is_a_lock_that_stays_loc
     config = system(container("c", "a", "b"))
     async with running(config, launcher(Poisoned, FakeContainer)) as sys:
         await sys.until_loaded(2)
-        sys.launcher.containers["/c"][0].crash_node("a", signal=9)
+        if follows == "crash":
+            sys.launcher.containers["/c"][0].crash_node("a", signal=9)
+        else:
+            sys.operated.restart(NodeKey("/c", "/a"))
         died = asyncio.get_running_loop().time()
         if found_after is None:
             await asyncio.sleep(60)
