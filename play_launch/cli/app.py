@@ -113,6 +113,7 @@ _ALL: Final = (
     Verb("daemon", _GRAPH, "Run the graph daemon in place of ros2cli's."),
     Verb("doctor", _SETUP, "Check this machine, with fixes."),
     Verb("completion", _SETUP, "Print the completion script of a shell."),
+    Verb("manual", _SETUP, "Print the help of all commands."),
     Verb("version", _SETUP, "Print versions.", "doctor"),
 )
 COMMANDS: Final = {each.name: each for each in _ALL}

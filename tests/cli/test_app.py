@@ -84,6 +84,30 @@ def test_no_line_of_any_help_is_cut_at_80_columns() -> None:
         walk(command_of(each), [each.name])
 
 
+def test_the_manual_has_the_help_of_every_command() -> None:
+    def said(*words: str) -> str:
+        return runner.invoke(app, words, prog_name="play-launch", env={"COLUMNS": "80"}).output
+
+    text, page, roff = said("manual"), said("manual", "--format", "markdown"), ""
+    for part in said("manual", "--format", "man").splitlines():
+        assert not part.startswith("'"), part
+        assert not part.startswith(".") or part.split()[0] in {
+            ".TH",
+            ".SH",
+            ".SS",
+            ".nf",
+            ".fi",
+            ".in",
+        }
+        roff += part.removeprefix("\\&").replace("\\-", "-").replace("\\e", "\\") + "\n"
+    for words in [*COMMANDS, "param set", "daemon patch"]:
+        help_text = said(*words.split(), "--help")
+        assert help_text in text, words
+        assert f"### {words}\n\n```text\nUsage: play-launch {words} " in page
+        assert f".SS {words}\n.in 0\n.nf\n{help_text}" in roff
+    assert roff.index("NAME\nplay-launch - Start a whole ROS 2 system") < roff.index("Exit codes:")
+
+
 def test_exit_codes_are_documented() -> None:
     page = (Path(__file__).parents[2] / "docs" / "control.md").read_text("utf-8")
     page = page.partition("## Exit codes\n")[2].partition("\n## ")[0]
