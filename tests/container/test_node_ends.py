@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import time
-from signal import SIGABRT
+from signal import SIGABRT, SIGINT, SIGTERM, Signals
 
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlUnload
@@ -222,6 +223,21 @@ def test_a_node_with_memory_of_its_own_ends_alone(spawn: StartContainer) -> None
         assert event.plugin_name.endswith("Quitter")
         assert "/quitter shut the ROS context down" in event.error_message
         assert only_these_remain(container, talker.pid)
+
+
+@pytest.mark.parametrize("mechanism", ["shared_memory", "process"])
+@pytest.mark.parametrize("number", [SIGTERM, SIGINT])
+def test_a_node_that_a_signal_from_outside_ends_has_crashed(
+    spawn: StartContainer, mechanism: str, number: int
+) -> None:
+    container = spawn("--isolated", "--isolation", mechanism)
+    with survives(container):
+        talker = container.loaded("Talker")
+        os.kill(talker.pid, number)
+        event = container.event(CRASHED, unique_id=talker.unique_id)
+        why = Signals(number).name if mechanism == "shared_memory" else "from outside"
+        assert why in event.error_message
+        assert only_these_remain(container)
 
 
 @both_modes

@@ -191,6 +191,7 @@ std::string HostedNode::full_name() const {
 }
 
 void HostedNode::ask_to_leave() {
+  is_asked_ = true;
   msg::ControlShutdown shutdown;
   shutdown.reason = "unloaded";
   channel_->send(FrameKind::shutdown, control::encode(shutdown));
@@ -275,7 +276,12 @@ NodeLife HostedNode::look() {
     leave();
   }
   if (complete && !has_any(life, NodeLife::finished)) {
-    const bool clean = death_.signal == 0 && death_.exit_code == 0;
+    // A signal from outside makes its process stop in order, too: that is no node that left.
+    const bool was_stopped = !is_asked_ && why_it_left_.empty() && has_any(life, NodeLife::left);
+    const bool clean = death_.signal == 0 && death_.exit_code == 0 && !was_stopped;
+    if (was_stopped) {
+      death_.reason = "its process was stopped from outside (" + death_.reason + ")";
+    }
     // How a process ends that holds no node does not matter.
     life_.add(ending(life, clean || has_any(life, NodeLife::failed)) | NodeLife::finished);
   }

@@ -74,7 +74,8 @@ class HostedNode final : public IsolatedNode, private control::ChannelHandler {
   std::string failure_;      // NodeLife::failed
   std::string why_it_left_;  // NodeLife::left
   LifeRecord life_;
-  std::atomic<bool> closed_{false};  // everything that it wrote is read
+  std::atomic<bool> is_asked_{false};  // to leave
+  std::atomic<bool> closed_{false};    // everything that it wrote is read
 
   std::optional<control::Channel> channel_;  // last: its thread uses all of the above
 };
