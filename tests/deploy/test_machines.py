@@ -212,8 +212,12 @@ def test_a_full_disk_of_a_machine_is_said_before_anything_starts(
 def test_detached_machines_run_on_and_the_next_replay_adopts_them(
     net: Hosts, tmp_path: Path
 ) -> None:
-    config = system(tmp_path, "apart")
+    (tmp_path / "tool").write_text("#!/bin/sh\n")
+    (tmp_path / "tool").chmod(0o755)
+    config = system(tmp_path, "apart", h3=", copy: [tool]")
     net.run("replay", str(config), "--detach", code=0)
+    (tool,) = net.folder.glob(f"home3/.cache/play-launch/parts/apart-h3/files{tmp_path}/tool")
+    assert tool.stat().st_mode & 0o777 == 0o700
     pids = supervisors(net, 2), supervisors(net, 3)
     assert all(pids)
     with running(net, config) as heir:

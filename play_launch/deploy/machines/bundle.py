@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
+import io
 import json
 import os
 import shlex
+import tarfile
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.machines import Service
@@ -55,6 +58,21 @@ def _files_below(path: Path) -> list[Path]:
     return sorted(each for each in path.rglob("*") if each.is_file())
 
 
+def _mode(name: str) -> int:
+    return 0o700 if os.access(name, os.X_OK) else 0o600
+
+
+def _archive(contents: Mapping[str, bytes]) -> bytes:
+    """Pack files for tar(1); those of ``files/`` have their path here, and can be programs."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        for name, content in contents.items():
+            about = tarfile.TarInfo(name)
+            about.size, about.mode = len(content), _mode(name.removeprefix("files"))
+            archive.addfile(about, io.BytesIO(content))
+    return buffer.getvalue()
+
+
 class Bundle:
     """The part of a machine, in a folder that is named by its content."""
 
@@ -76,7 +94,7 @@ class Bundle:
         self._peers = peers
         digest = hashlib.sha256(json.dumps(list(arguments)).encode())
         for name in sorted(files):
-            digest.update(f"{name}\0{len(files[name])}\0".encode())
+            digest.update(f"{name}\0{len(files[name])}\0{_mode(name)}\0".encode())
             digest.update(files[name])
         self._hash = digest.hexdigest()[:16]
         kept = (each if each.isascii() and each.isalnum() else "-" for each in part.name)
@@ -93,15 +111,18 @@ class Bundle:
 
     async def bring(self, host: Host, files: Mapping[str, bytes]) -> None:
         """Copy it there, unless it is there; raises HostError and LinkLost."""
-        complete = f"{self.folder}/complete"
+        folder = shlex.quote(self.folder)
+        complete = f"{folder}/complete"
+        found = await host.run(f"umask 077; mkdir -p {folder}; test -e {complete}")
         # The variables of the machine are in it.
-        found = await host.run(
-            f"umask 077; mkdir -p {shlex.quote(self.folder)}; test -e {shlex.quote(complete)}"
-        )
+        contents = {"start.sh": self.start_script().encode()}
         if found.status and not self.machine.local:
-            await host.put({f"{self.folder}/files{path}": text for path, text in files.items()})
-        await host.put({f"{self.folder}/start.sh": self.start_script().encode(), complete: b""})
-        await host.run(self.clean_up_command())
+            contents |= {f"files{path}": text for path, text in files.items()}
+        unpack = f"umask 077; tar -xmof - -C {folder} && touch {complete} || exit 1"
+        archive = await asyncio.to_thread(_archive, contents)
+        done = await host.run(f"{unpack}\n{self.clean_up_command()}\ntrue", None, archive)
+        if done.status:
+            raise HostError(f"files cannot be written there: {done.stderr or done.stdout}")
 
     def clean_up_command(self) -> str:
         """Return a command that removes earlier copies, all but a few, and the one in use."""

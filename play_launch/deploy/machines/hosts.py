@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 from play_launch import UserError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from play_launch.config.machines import MachineConfig
 
@@ -83,8 +83,12 @@ class Host(Protocol):
     address: str
     """Address by which other machines reach it; empty where unknown."""
 
-    async def run(self, script: str, limit: float = _COMMAND_LIMIT) -> Output: ...
-    async def put(self, files: Mapping[str, bytes]) -> None: ...
+    async def run(
+        self, script: str, limit: float | None = _COMMAND_LIMIT, data: bytes = b""
+    ) -> Output:
+        """Run a script with `data` as its input, for `limit` seconds at most."""
+        ...
+
     async def get(self, folder: str, target: Path, arrived: Arrived) -> None:
         """Copy the files of a folder, and report how much of them has arrived now and then."""
         ...
@@ -120,8 +124,9 @@ def _marked(script: str) -> str:
     return f"echo {_MARKER}\n{script}"
 
 
-def _output(status: int, stdout: str, stderr: str) -> Output:
-    return Output(status, stdout.partition(f"{_MARKER}\n")[2], stderr.strip())
+def _output(status: int, stdout: bytes, stderr: bytes) -> Output:
+    said, why = (each.decode(errors="replace") for each in (stdout, stderr))
+    return Output(status, said.partition(f"{_MARKER}\n")[2], why.strip())
 
 
 class LocalHost:
@@ -129,27 +134,23 @@ class LocalHost:
 
     address = ""
 
-    async def run(self, script: str, limit: float = _COMMAND_LIMIT) -> Output:
+    async def run(
+        self, script: str, limit: float | None = _COMMAND_LIMIT, data: bytes = b""
+    ) -> Output:
         process = await asyncio.create_subprocess_exec(
             *("bash", "--norc", "--noprofile", "-c", _marked(script)),
-            stdin=asyncio.subprocess.DEVNULL,
+            stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
         )
         try:
             async with asyncio.timeout(limit):
-                stdout, stderr = await process.communicate()
+                stdout, stderr = await process.communicate(data)
         except TimeoutError:
             process.kill()
             await process.wait()
             return Output(124, "", f"it took longer than {limit:g} s")
-        return _output(process.returncode or 0, stdout.decode(), stderr.decode())
-
-    async def put(self, files: Mapping[str, bytes]) -> None:
-        try:
-            await asyncio.to_thread(_write, files)
-        except OSError as error:
-            raise HostError(f"files cannot be written here: {error}") from None
+        return _output(process.returncode or 0, stdout, stderr)
 
     async def get(self, folder: str, target: Path, arrived: Arrived) -> None:  # noqa: ARG002 - it takes no time
         await asyncio.to_thread(_copy_files, Path(folder), target)
@@ -177,13 +178,6 @@ class LocalHost:
 
 def _add(arrived: Arrived, before: int, total: int, _from: bytes, _to: bytes, *sizes: int) -> None:
     arrived(before + sizes[0], total)
-
-
-def _write(files: Mapping[str, bytes]) -> None:
-    for name, content in files.items():
-        path = Path(name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
 
 
 class SshHost:
@@ -235,24 +229,14 @@ class SshHost:
             raise HostError(f"~/.ssh/config cannot be used: {error}") from None
         return cls(name, connection)
 
-    async def run(self, script: str, limit: float = _COMMAND_LIMIT) -> Output:
+    async def run(
+        self, script: str, limit: float | None = _COMMAND_LIMIT, data: bytes = b""
+    ) -> Output:
         command = f"exec bash --norc --noprofile -c {shlex.quote(_marked(script))}"
         with self._losses():
-            found = await self._connection.run(command, timeout=limit, errors="replace")
+            found = await self._connection.run(command, input=data, timeout=limit, encoding=None)
         status = 255 if found.exit_status is None else found.exit_status
-        return _output(status, str(found.stdout), str(found.stderr))
-
-    async def put(self, files: Mapping[str, bytes]) -> None:
-        with self._losses():
-            async with self._connection.start_sftp_client() as sftp:
-                for folder in sorted({os.path.dirname(name) for name in files}):  # noqa: PTH120
-                    await sftp.makedirs(folder, exist_ok=True)
-                for name, content in files.items():
-                    async with sftp.open(name, "wb") as file:
-                        await file.write(content)
-                    # Not each server reports what fails when a file is closed.
-                    if await sftp.getsize(name) != len(content):
-                        raise HostError(f"files cannot be written there: {name} is incomplete")
+        return _output(status, found.stdout, found.stderr)
 
     async def get(self, folder: str, target: Path, arrived: Arrived) -> None:
         await asyncio.to_thread(target.mkdir, parents=True, exist_ok=True)
@@ -296,7 +280,7 @@ class SshHost:
             lost = isinstance(error, asyncssh.SFTPConnectionLost | asyncssh.SFTPNoConnection)
             if lost:
                 raise LinkLost(_reason(error)) from None
-            raise HostError(f"files cannot be written there: {error.reason}") from None
+            raise HostError(f"files cannot be read there: {error.reason}") from None
         except (OSError, asyncssh.Error, TimeoutError) as error:
             raise LinkLost(_reason(error)) from None
 

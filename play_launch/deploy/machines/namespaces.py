@@ -255,15 +255,16 @@ async def _serve_ssh(host_key: str, authorized: str, home: str) -> None:
         peer = process.get_extra_info("peername")[0]
         child = await asyncio.create_subprocess_shell(
             os.fsdecode(process.command or b"true"),
-            stdin=asyncio.subprocess.DEVNULL,
+            stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
             env={**os.environ, "HOME": home, "SSH_CONNECTION": f"{peer} 0 0 22"},
         )
-        stdout, stderr = await child.communicate()
-        process.stdout.write(stdout)
-        process.stderr.write(stderr)
-        process.exit(child.returncode or 0)
+        await process.redirect(child.stdin, child.stdout, child.stderr, recv_eof=False)
+        status = await child.wait()
+        await process.stdout.drain()
+        await process.stderr.drain()
+        process.exit(status)
 
     await asyncssh.listen(
         "",
