@@ -121,7 +121,8 @@ class Status(Struct, frozen=True, kw_only=True):
     5 s are always listed. The numbers are counted since the container's start: frames that its full
     queue dropped, nodes that crashed, of these cleaned up after and not cleaned up after, and
     deaths in the middle of something that others use, too. `dead_locks` says, a line each, which
-    threads wait without end, because the holder of the lock has exited.
+    threads wait without end, because the holder of the lock has exited, and which nodes hang in the
+    middleware.
     """
 
     query_id: int

@@ -290,7 +290,9 @@ def health(step: Reduction, said: HealthReported) -> None:
         waits = said.dead_locks[0] + (f" (and {more} more)" if more else "")
         holders = (each for each in world.nodes_of(said.unit) if said.lock_holder)
         culprits = [str(each.key) for each in holders if each.crashed_pid == said.lock_holder]
-        reason, culprit = f"a node died with a lock: {waits}", next(iter(culprits), "")
+        is_hang = waits.startswith("/")  # the name of a node, not "thread"
+        why = "the middleware hangs" if is_hang else "a node died with a lock"
+        reason, culprit = f"{why}: {waits}", next(iter(culprits), "")
         process_rules.poisoned(step, container, reason, culprit)
     else:
         for node in world.nodes_of(said.unit):

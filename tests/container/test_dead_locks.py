@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 from pathlib import Path
 
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlStatus, ControlUnload
 
 from tests.support.control_peer import Container, StartContainer
-from tests.support.isolated import MODES, start, survives
+from tests.support.isolated import MODES, allocator_environment, start, survives
 
 CRASHED, LOAD_FAILED = ComponentEvent.CRASHED, ComponentEvent.LOAD_FAILED
 UNLOADED = ComponentEvent.UNLOADED
@@ -66,6 +67,36 @@ def test_a_neighbour_waits_for_a_dead_node(
     assert len(found) == 1
     assert f"of process {waiting.pid} waits for a lock" in found[0]
     assert f"held by process {dying.pid} ('holder')" in found[0]
+
+
+HANGING_TAKE = """
+#include <dlfcn.h>
+#include <unistd.h>
+#include <cstring>
+extern "C" const char* rcl_subscription_get_topic_name(const void*);
+extern "C" int rcl_take(const void* subscription, void* message, void* info, void* allocation) {
+  using Take = int (*)(const void*, void*, void*, void*);
+  static const auto take = reinterpret_cast<Take>(dlsym(RTLD_NEXT, "rcl_take"));
+  while (std::strcmp(rcl_subscription_get_topic_name(subscription), "/chatter") == 0) sleep(1);
+  return take(subscription, message, info, allocation);
+}
+"""
+
+
+def test_a_take_that_never_returns_is_reported(spawn: StartContainer, tmp_path: Path) -> None:
+    source, library = tmp_path / "take.cpp", tmp_path / "take.so"
+    source.write_text(HANGING_TAKE)
+    subprocess.run(["c++", "-shared", "-fPIC", source, "-o", library], check=True)
+    preload = {"LD_PRELOAD": f"{allocator_environment()['LD_PRELOAD']}:{library}"}
+    # In the other mode a second thread of the node goes on.
+    container = start(spawn, "isolated_mt", environment=preload)
+    container.loaded("Talker", parameters={"rate": 50.0})
+    listener = container.loaded("Listener")
+    found = container.status_when(lambda status: bool(status.dead_locks), "a report").dead_locks
+    (line,) = found
+    assert line.startswith("/listener has been taking one message from the middleware for 1")
+    os.kill(listener.pid, signal.SIGSTOP)  # as a debugger does
+    container.status_when(lambda status: not status.dead_locks, "none")
 
 
 def test_a_lock_that_a_living_node_keeps_is_none_of_the_dead(spawn: StartContainer) -> None:

@@ -10,6 +10,7 @@
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
+#include <fstream>
 
 #include "base/unique_fd.hpp"
 
@@ -46,6 +47,17 @@ ProcessIdentity identity_of(pid_t pid) noexcept {
 }
 
 std::uint64_t start_time_of_self() noexcept { return start_time_in("/proc/self/stat"); }
+
+bool is_stopped(pid_t pid) {
+  std::ifstream file("/proc/" + std::to_string(pid) + "/stat");
+  std::string text;
+  std::getline(file, text);
+  const std::size_t name_end = text.rfind(") ");
+  if (name_end == std::string::npos || name_end + 2 >= text.size()) {
+    return false;
+  }
+  return text[name_end + 2] == 'T' || text[name_end + 2] == 't';
+}
 
 std::optional<std::string> other_program_of(pid_t pid) {
   const std::string link = "/proc/" + std::to_string(pid) + "/exe";

@@ -26,6 +26,9 @@ ProcessIdentity identity_of(pid_t pid) noexcept;
 /// The calling process's start time; 0 when /proc cannot be read.
 std::uint64_t start_time_of_self() noexcept;
 
+/// Whether a process is stopped, by a signal or by a debugger.
+bool is_stopped(pid_t pid);
+
 /// The path of the program that a process runs, if it is another one than this process's; nothing
 /// when it is the same, or cannot be known.
 std::optional<std::string> other_program_of(pid_t pid);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
@@ -53,8 +54,13 @@ class Component {
   virtual std::string full_name() const = 0;
 };
 
-/// When an executor last came round, in nanoseconds of the steady clock; 0: never.
-using Beat = std::atomic<std::int64_t>;
+/// What an executor notes of itself, in nanoseconds of the steady clock.
+struct Beat {
+  /// When it last came round; 0: never.
+  std::atomic<std::int64_t> last{0};
+  /// When the takes from the middleware began that are under way; 0: none.
+  std::array<std::atomic<std::int64_t>, 8> takes{};
+};
 
 /// Runs the callbacks of components of one backend.
 class ComponentExecutor {

@@ -32,7 +32,9 @@ class NativeExecutor final : public ComponentExecutor {
   void add(Component& component) override { executor_->add_node(node_of(component)); }
   void remove(Component& component) override { executor_->remove_node(node_of(component)); }
   void abandon() override { detail::ExecutorAccess::abandon(*executor_); }
-  void beat_into(Beat& beat) override { detail::ExecutorAccess::beat_into(*executor_, beat); }
+  void beat_into(Beat& beat) override {
+    detail::ExecutorAccess::beat_into(*executor_, beat.last, beat.takes);
+  }
 
  private:
   static const std::shared_ptr<Node>& node_of(Component& component) {

@@ -40,6 +40,7 @@ struct ExecutorState {
   Nanoseconds timekeeper = kNever;
   // Where to note when a thread looked for work; null: nowhere. Set before spin().
   std::atomic<Nanoseconds>* beat = nullptr;
+  std::span<std::atomic<Nanoseconds>> takes;
   // Rings when the last callback of a removed node has returned.
   detail::Doorbell quiet;
 };
@@ -47,7 +48,30 @@ struct ExecutorState {
 namespace {
 
 /// What goes wrong here is the middleware's; the node can do nothing about it.
-Work take_or_report(Waitable& waitable) {
+/// Notes a take in the first free place; one that finds none is not noted.
+class TakeNote {
+ public:
+  explicit TakeNote(std::span<std::atomic<Nanoseconds>> places) noexcept {
+    for (std::atomic<Nanoseconds>& place : places) {
+      Nanoseconds free = 0;
+      if (place.compare_exchange_strong(free, steady_now(), std::memory_order_relaxed)) {
+        place_ = &place;
+        return;
+      }
+    }
+  }
+  ~TakeNote() {
+    if (place_ != nullptr) place_->store(0, std::memory_order_relaxed);
+  }
+  TakeNote(const TakeNote&) = delete;
+  TakeNote& operator=(const TakeNote&) = delete;
+
+ private:
+  std::atomic<Nanoseconds>* place_ = nullptr;
+};
+
+Work take_or_report(Waitable& waitable, std::span<std::atomic<Nanoseconds>> takes) {
+  const TakeNote note(takes);
   try {
     return waitable.take();
   } catch (const std::exception& error) {
@@ -76,9 +100,10 @@ Executor::~Executor() {
 
 void Executor::cancel() noexcept { state_->queue->stop()->set(); }
 
-void detail::ExecutorAccess::beat_into(Executor& executor,
-                                       std::atomic<std::int64_t>& beat) noexcept {
+void detail::ExecutorAccess::beat_into(Executor& executor, std::atomic<std::int64_t>& beat,
+                                       std::span<std::atomic<std::int64_t>> takes) noexcept {
   executor.state_->beat = &beat;
+  executor.state_->takes = takes;
   beat = steady_now();
 }
 
@@ -194,7 +219,7 @@ void Executor::run(RunningTurn& turn, std::unique_lock<std::mutex>& lock) {
   turn.waitable = token.lock();
   if (!turn.waitable) return;
   const std::size_t events = token.events.exchange(0);
-  turn.work = take_or_report(*turn.waitable);
+  turn.work = take_or_report(*turn.waitable, state_->takes);
   if (!turn.work) {
     // A sample that could not be delivered may hide others.
     look_again = events > 1;

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <span>
 
 namespace play_launch {
 class Context;
@@ -50,7 +51,10 @@ struct ExecutorAccess {
   /// Before spin(): notes the time (nanoseconds of the steady clock) in `beat` whenever a thread of
   /// the executor looks for work, which one of them does once a second while idle. Only
   /// with all threads in callbacks, `beat` stands still. It must outlive spin().
-  static void beat_into(Executor& executor, std::atomic<std::int64_t>& beat) noexcept;
+  /// A thread that takes a message, or another piece of work, from the middleware has the time when
+  /// it began in a place of `takes`, which is 0 otherwise.
+  static void beat_into(Executor& executor, std::atomic<std::int64_t>& beat,
+                        std::span<std::atomic<std::int64_t>> takes) noexcept;
 
   /// For an executor that spun in a process which shares this memory and has died: forgets the
   /// callbacks that were running, and destroys what they held. Afterwards nodes can be removed and

@@ -87,7 +87,7 @@ std::chrono::nanoseconds NodeExecutor::note_beat() {
     return std::chrono::nanoseconds(-1);  // without limit
   }
   const std::chrono::nanoseconds now = std::chrono::steady_clock::now().time_since_epoch();
-  beat_->store(now.count(), std::memory_order_relaxed);
+  beat_->last.store(now.count(), std::memory_order_relaxed);
   return std::chrono::seconds(1);
 }
 

@@ -31,6 +31,14 @@ CloneIsolatedHost::CloneIsolatedHost(BackendList backends, const ExecutorChoice&
   isolation::prepare_crash_handling();
 }
 
+std::vector<std::string> CloneIsolatedHost::dead_locks() const {
+  std::vector<std::string> lines = lock_watch_.dead_locks();
+  for (std::string& line : hangs()) {
+    lines.push_back(std::move(line));
+  }
+  return lines;
+}
+
 std::shared_ptr<IsolatedNode> CloneIsolatedHost::start(std::uint64_t unique_id, LoadRequest request,
                                                        NodeResources resources, int event_fd) {
   if (request.lock_memory) {
@@ -48,6 +56,10 @@ constexpr std::size_t kThreadNameLength = 15;
 /// After so long without a sign of its executor, a node may have replaced itself by another program
 /// without our knowing.
 constexpr std::chrono::seconds kSuspicious{2};
+/// A take copies one message. One that lasts so long, and some time after that was seen (the
+/// container may have been frozen), does not return.
+constexpr std::chrono::seconds kLongestTake{10};
+constexpr std::chrono::seconds kTakeConfirmed{2};
 constexpr const char* kEndedItself = "the node ended itself: it shut the ROS context down";
 
 /// For cleaning up after a dead node. Mostly of CPU time: a process that is killed while it waits
@@ -121,6 +133,28 @@ std::optional<std::chrono::nanoseconds> ClonedNode::silence() const {
     notify_eventfd(event_fd());  // the monitor looks whether it is still there
   }
   return silence;
+}
+
+std::string ClonedNode::hang() {
+  using Clock = std::chrono::steady_clock;
+  constexpr auto kOver = NodeLife::failed | NodeLife::left | NodeLife::ended | NodeLife::died;
+  const std::int64_t began = has_any(program_.life(), kOver) ? 0 : program_.oldest_take();
+  const auto now = Clock::now();
+  const auto lasts = now.time_since_epoch() - std::chrono::nanoseconds(began);
+  if (began == 0 || lasts < kLongestTake || is_stopped(slot_.pid)) {
+    suspected_take_ = 0;
+    return "";
+  }
+  if (suspected_take_ != began) {
+    suspected_take_ = began;
+    suspected_since_ = now;
+  }
+  if (now - suspected_since_ < kTakeConfirmed) {
+    return "";
+  }
+  const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(lasts).count();
+  return program_.full_name() + " has been taking one message from the middleware for " +
+         std::to_string(seconds) + " s";
 }
 
 void ClonedNode::end_if_replaced() {

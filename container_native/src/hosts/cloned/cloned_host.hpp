@@ -32,7 +32,7 @@ class CloneIsolatedHost final : public IsolatedHost {
   CloneIsolatedHost(BackendList backends, const ExecutorChoice& choice, bool core_dumps,
                     std::shared_ptr<MemoryDomains> domains);
 
-  std::vector<std::string> dead_locks() const override { return lock_watch_.dead_locks(); }
+  std::vector<std::string> dead_locks() const override;
 
  private:
   friend class ClonedNode;
@@ -57,6 +57,7 @@ class ClonedNode final : public IsolatedNode {
              NodeResources resources, int event_fd, std::unique_ptr<MemoryDomain> domain);
 
   std::optional<std::chrono::nanoseconds> silence() const override;
+  std::string hang() override;
   void rise(Urgency urgency) noexcept override { donor_.rise(urgency); }
 
  private:
@@ -85,6 +86,8 @@ class ClonedNode final : public IsolatedNode {
 
   CloneIsolatedHost& host_;
   bool replaced_ = false;
+  std::int64_t suspected_take_ = 0;
+  std::chrono::steady_clock::time_point suspected_since_;
   std::optional<std::chrono::steady_clock::time_point> constructing_since_;
   std::optional<std::vector<std::string>> backtrace_;
 

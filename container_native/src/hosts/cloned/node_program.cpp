@@ -93,13 +93,22 @@ void NodeProgram::live() {
 }
 
 std::optional<std::chrono::nanoseconds> NodeProgram::silence() const {
-  const std::int64_t last = beat_;
+  const std::int64_t last = beat_.last;
   constexpr auto kOver = NodeLife::failed | NodeLife::left | NodeLife::ended | NodeLife::died;
   if (last == 0 || has_any(life(), kOver)) {
     return std::nullopt;
   }
   const std::chrono::nanoseconds now = std::chrono::steady_clock::now().time_since_epoch();
   return std::max(now - std::chrono::nanoseconds(last), std::chrono::nanoseconds(0));
+}
+
+std::int64_t NodeProgram::oldest_take() const {
+  std::int64_t oldest = 0;
+  for (const std::atomic<std::int64_t>& place : beat_.takes) {
+    const std::int64_t began = place.load(std::memory_order_relaxed);
+    oldest = began == 0 || (oldest != 0 && oldest < began) ? oldest : began;
+  }
+  return oldest;
 }
 
 void NodeProgram::take_apart() {

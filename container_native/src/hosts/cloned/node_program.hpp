@@ -44,6 +44,8 @@ class NodeProgram final : public isolation::ChildProgram {
   NodeLife life() const { return life_.so_far(); }
   /// How long its executor has not come round; nothing: before it spins, or when that is not known.
   std::optional<std::chrono::nanoseconds> silence() const;
+  /// When the oldest take from the middleware began that is under way; 0: none, or not known.
+  std::int64_t oldest_take() const;
   /// Its own code asked for its end.
   bool ends_itself() const { return ends_itself_.load(); }
   /// Name of the node; from NodeLife::spinning on.

@@ -95,6 +95,17 @@ std::optional<std::chrono::nanoseconds> IsolatedHost::silence(std::uint64_t uniq
   return found != nodes_.end() ? found->second->silence() : std::nullopt;
 }
 
+std::vector<std::string> IsolatedHost::hangs() const {
+  std::vector<std::string> lines;
+  const std::lock_guard lock(mutex_);
+  for (const auto& [unique_id, node] : nodes_) {
+    if (std::string line = node->hang(); !line.empty()) {
+      lines.push_back(std::move(line));
+    }
+  }
+  return lines;
+}
+
 void IsolatedHost::monitor() {
   while (true) {
     Nodes nodes;

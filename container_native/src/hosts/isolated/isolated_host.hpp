@@ -37,6 +37,8 @@ class IsolatedHost : public NodeHost {
 
  protected:
   explicit IsolatedHost(BackendList backends);
+  /// What hangs in the middleware, a line for each node.
+  std::vector<std::string> hangs() const;
   /// All nodes must have ended; waits for what is left of their processes.
   ~IsolatedHost() override;
 
