@@ -9,11 +9,12 @@ from typing import Any
 
 import psutil
 import pytest
-from play_launch_msgs.msg import ComponentEvent
+from play_launch_msgs.msg import ComponentEvent, ControlUnload
 
 from tests.support.control_peer import Container, StartContainer
 from tests.support.isolated import ALL_MODES, MODES, children, only_these_remain, start, survives
 from tests.support.ros import Probe
+from tests.support.waiting import until
 
 LOADED, UNLOADED, LOAD_FAILED = (
     ComponentEvent.LOADED,
@@ -175,3 +176,32 @@ def test_a_node_for_which_no_thread_can_be_had_fails_to_load_and_the_next_one_do
     assert "cannot start loading: Resource temporarily unavailable" in event.error_message
     process.rlimit(psutil.RLIMIT_AS, limit)
     container.loaded("Talker", node_name="another")
+
+
+@pytest.mark.parametrize("arguments", [(), ("--isolated",)])
+def test_readers_that_join_a_stream_of_large_messages_read_on(
+    spawn: StartContainer, arguments: tuple[str, ...]
+) -> None:
+    """Fast DDS 2.14 hangs where it keeps a sample that it has dropped, see fastdds/waits.hpp."""
+    for number in range(2):
+        other = spawn("--isolated")
+        other.loaded("ImageSource", node_name=f"far{number}", parameters={"rate": 30.0})
+    container = spawn(*arguments)
+    container.loaded("ImageSource", node_name="near", parameters={"rate": 30.0})
+    for _ in range(15):
+        for number in range(4):
+            parameters = {"report_every": 1}
+            container.load("ImageSink", node_name=f"sink{number}", parameters=parameters)
+        sinks = [container.event(LOADED) for _ in range(4)]
+        before = len(container.log.read_text())
+        reads = [f"[sink{number}]: images=9 " for number in range(4)]
+        until(
+            lambda start=before, wanted=reads: all(  # type: ignore[misc]
+                each in container.log.read_text()[start:] for each in wanted
+            ),
+            "images at each reader",
+        )
+        for sink in sinks:
+            container.send(ControlUnload(unique_id=sink.unique_id))
+        for _ in sinks:
+            container.event(UNLOADED)

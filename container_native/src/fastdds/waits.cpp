@@ -3,6 +3,7 @@
 #include <link.h>
 #include <sys/mman.h>
 #include <sys/socket.h>
+#include <sys/uio.h>
 #include <unistd.h>
 
 #include <array>
@@ -11,6 +12,7 @@
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
+#include <functional>
 #include <new>
 #include <span>
 #include <string_view>
@@ -177,8 +179,62 @@ constexpr std::array<std::uint32_t, 2> kFunction{R_X86_64_JUMP_SLOT, R_X86_64_GL
 constexpr std::array<std::uint32_t, 2> kFunction{R_AARCH64_JUMP_SLOT, R_AARCH64_GLOB_DAT};
 #endif
 
+// Of eprosima::fastdds::dds::detail::DataReaderHistory in version 2.14; found when calls are
+// replaced.
+constexpr std::string_view kRemoveSample =
+    "_ZN8eprosima7fastdds3dds6detail17DataReaderHistory17remove_change_subEPNS_8fastrtps4rtps13"
+    "CacheChange_tERN9__gnu_cxx17__normal_iteratorIPS7_St6vectorIS7_SaIS7_EEEE";
+constexpr std::string_view kFindInstance =
+    "_ZN8eprosima7fastdds3dds6detail17DataReaderHistory8find_key";
+std::atomic<bool (*)(void*, void*, void***)> next_remove_sample{nullptr};
+std::atomic<bool (*)(void*, const void*, void*)> find_instance{nullptr};
+
+/// Reads what may not be there; false: it is not.
+bool read_safely(std::uintptr_t address, void* target, std::size_t size) noexcept {
+  const iovec to{target, size};
+  const iovec from{reinterpret_cast<void*>(address), size};
+  return ::process_vm_readv(::getpid(), &to, 1, &from, 1, 0) == static_cast<ssize_t>(size);
+}
+
+/// Takes an element out of the list of samples of a topic without keys; false: where that list is
+/// could not be verified.
+bool erase(void* history, void** element) {
+  constexpr std::array<char, 32> kNoKey{};
+  constexpr std::uintptr_t kInstanceInNode = 0x38;
+  constexpr std::uintptr_t kListInInstance = 0x20;
+  const auto find = find_instance.load();
+  std::uintptr_t node = 0;
+  std::uintptr_t instance = 0;
+  std::array<void**, 2> list{};
+  if (find == nullptr || !find(history, kNoKey.data(), &node) ||
+      !read_safely(node + kInstanceInNode, &instance, sizeof instance) ||
+      !read_safely(instance + kListInInstance, list.data(), sizeof list) ||
+      std::less<>()(element, list[0]) || !std::less<>()(element, list[1])) {
+    return false;
+  }
+  std::memmove(element, element + 1,
+               static_cast<std::size_t>(list[1] - element - 1) * sizeof *element);
+  *reinterpret_cast<void***>(instance + kListInInstance + sizeof list[0]) = list[1] - 1;
+  return true;
+}
+
+/// See waits.hpp.
+bool remove_sample(void* history, void* sample, void*** place) {
+  void** const before = *place;
+  if (next_remove_sample.load()(history, sample, place)) {
+    return true;
+  }
+  if (*place == before && *before == sample && !erase(history, before)) {
+    ++*place;
+  }
+  return false;
+}
+
 /// What stands instead of a function of that name; 0: nothing.
 std::uintptr_t replacement(std::string_view name) noexcept {
+  if (name == kRemoveSample && next_remove_sample.load() != nullptr) {
+    return reinterpret_cast<std::uintptr_t>(&remove_sample);
+  }
   if (name == "pthread_cond_timedwait") {
     return reinterpret_cast<std::uintptr_t>(&timedwait);
   }
@@ -195,6 +251,14 @@ std::uintptr_t replacement(std::string_view name) noexcept {
     return reinterpret_cast<std::uintptr_t>(&sendmsg);
   }
   return name == "bind" ? reinterpret_cast<std::uintptr_t>(&bind) : 0;
+}
+
+void note_original(std::string_view name, std::uintptr_t address) noexcept {
+  if (address != 0 && name == kRemoveSample) {
+    next_remove_sample = reinterpret_cast<bool (*)(void*, void*, void***)>(address);
+  } else if (address != 0 && name.starts_with(kFindInstance)) {
+    find_instance = reinterpret_cast<bool (*)(void*, const void*, void*)>(address);
+  }
 }
 
 bool is_in_read_only_part(const dl_phdr_info& object, std::uintptr_t address) noexcept {
@@ -260,7 +324,9 @@ bool replace_calls(const dl_phdr_info& object, const ElfW(Dyn) * entry) noexcept
       if (ELF64_R_TYPE(each.r_info) != kFunction[table]) {
         continue;
       }
-      const char* const name = names + symbols[ELF64_R_SYM(each.r_info)].st_name;
+      const ElfW(Sym)& symbol = symbols[ELF64_R_SYM(each.r_info)];
+      const char* const name = names + symbol.st_name;
+      note_original(name, symbol.st_value == 0 ? 0 : object.dlpi_addr + symbol.st_value);
       const std::uintptr_t function = replacement(name);
       any |= function != 0 && replace(object, object.dlpi_addr + each.r_offset, function);
     }
