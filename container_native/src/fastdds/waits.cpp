@@ -199,6 +199,7 @@ bool read_safely(std::uintptr_t address, void* target, std::size_t size) noexcep
 /// Takes an element out of the list of samples of a topic without keys; false: where that list is
 /// could not be verified.
 bool erase(void* history, void** element) {
+  // As in version 2.14 with libstdc++; a list elsewhere does not hold the element.
   constexpr std::array<char, 32> kNoKey{};
   constexpr std::uintptr_t kInstanceInNode = 0x38;
   constexpr std::uintptr_t kListInInstance = 0x20;

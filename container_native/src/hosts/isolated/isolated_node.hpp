@@ -80,7 +80,7 @@ class IsolatedNode {
   /// How long its executor has not come round; nothing: that is not known. Any thread.
   virtual std::optional<std::chrono::nanoseconds> silence() const { return std::nullopt; }
 
-  /// What hangs in the middleware, in words; empty: nothing that is known. For one thread.
+  /// What hangs in the middleware, in words; empty: nothing that is known. By one thread at a time.
   virtual std::string hang() { return ""; }
 
   /// Has the container's threads that belong to this node alone run that urgently. Any thread.
