@@ -15,7 +15,17 @@ from tests.support.waiting import until
 
 CHANGES_ONLY = {"daemon patch", "daemon run", "daemon start", "daemon stop", "daemon unpatch"}
 WRITES_A_FILE = {
-    *("completion", "export", "init", "kubernetes", "layout", "recover", "report", "schema"),
+    *(
+        "completion",
+        "export",
+        "init",
+        "kubernetes",
+        "layout",
+        "manual",
+        "recover",
+        "report",
+        "schema",
+    ),
     "systemd-unit",
 }
 """Or prints what is not ours: a script, the layout of another tool, a schema, a unit."""
