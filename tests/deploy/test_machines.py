@@ -114,7 +114,7 @@ def test_lines_that_flood_a_slow_connection_hold_up_nothing(net: Hosts, tmp_path
     proxy = f"{sys.executable} {tmp_path}/slow.py %h"
     ssh.write_text(f"Host h3 10.77.0.3\n  ProxyCommand {proxy}\n{before}")
     path = system(tmp_path, "flooded")
-    text = "i=0; while :; do echo $((i += 1)) $(printf %0150d 0); done"
+    text = "line=$(printf %0150d 0); i=0; while :; do echo $((i += 1)) $line; done"
     with path.open("a") as file:
         file.write(f"  - {{name: flood, machine: h3, command: [bash, -c, '{text}']}}\n")
     try:
