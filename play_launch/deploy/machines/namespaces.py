@@ -260,11 +260,14 @@ async def _serve_ssh(host_key: str, authorized: str, home: str) -> None:
             stderr=asyncio.subprocess.PIPE,
             env={**os.environ, "HOME": home, "SSH_CONNECTION": f"{peer} 0 0 22"},
         )
-        await process.redirect(child.stdin, child.stdout, child.stderr, recv_eof=False)
-        status = await child.wait()
-        await process.stdout.drain()
-        await process.stderr.drain()
-        process.exit(status)
+        await process.redirect(stdin=child.stdin)
+        assert child.stdout is not None
+        assert child.stderr is not None
+        # Redirected, output that comes right before the end was lost now and then.
+        stdout, stderr = await asyncio.gather(child.stdout.read(), child.stderr.read())
+        process.stdout.write(stdout)
+        process.stderr.write(stderr)
+        process.exit(await child.wait())
 
     await asyncssh.listen(
         "",
