@@ -63,12 +63,13 @@ def _mode(name: str) -> int:
 
 
 def _archive(contents: Mapping[str, bytes]) -> bytes:
-    """Pack files for tar(1); those of ``files/`` have their path here, and can be programs."""
+    """Pack files for tar(1); below ``files`` stands their path here, and they can be programs."""
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w") as archive:
         for name, content in contents.items():
             about = tarfile.TarInfo(name)
-            about.size, about.mode = len(content), _mode(name.removeprefix("files"))
+            path = name.removeprefix("files")
+            about.size, about.mode = len(content), _mode(path) if path != name else 0o600
             archive.addfile(about, io.BytesIO(content))
     return buffer.getvalue()
 
