@@ -85,10 +85,11 @@ class Background(Struct):
             "the recording of ROS topics": self._record_topics(),
             "control by commands": self._serve_control(),
             "the record of the ROS graph": self._observe_graph(),
+            "the page": self._show_page(),
         }
         async with contextlib.AsyncExitStack() as stack:
             for what, work in tasks.items():
-                await stack.enter_async_context(_beside(what, work))
+                await stack.enter_async_context(going_on(what, work))
             yield
 
     async def _report(self) -> None:
@@ -189,6 +190,14 @@ class Background(Struct):
 
             await observe_graph({**os.environ, **self.config.environment}, self.publisher.publish)
 
+    async def _show_page(self) -> None:
+        if self.config.web is not None:
+            await self.operable
+            await self._system_is_up()
+            from play_launch.cli.web import run_page  # noqa: PLC0415
+
+            await run_page(self.config.web, self.session.folder, self.sink.show_output)
+
 
 async def run_ahead_of(publisher: Publisher, stop: StopRequests) -> None:
     """Run before what starts, and before what ends, see docs/decisions/start.md.
@@ -209,7 +218,7 @@ async def run_ahead_of(publisher: Publisher, stop: StopRequests) -> None:
 
 
 @contextlib.asynccontextmanager
-async def _beside(what: str, work: Coroutine[None, None, None]) -> AsyncIterator[None]:
+async def going_on(what: str, work: Coroutine[None, None, None]) -> AsyncIterator[None]:
     """Run a coroutine while the block runs, which continues without ``what`` if that fails."""
     task = asyncio.create_task(_failure_logged(what, work))
     try:

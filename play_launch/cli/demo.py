@@ -135,8 +135,7 @@ def _with_page() -> dict[str, Any]:
         "/chatter": {"min_rate": "8 Hz", "max_gap": "500 ms", "publishers": 1},
         "/heartbeat": {"min_rate": "5 Hz"},
     }
-    page = [_program(), "web", "--session", "demo-web", "--allow-control"]
-    config["nodes"] = [{"name": "page", "command": page}]
+    config["web"] = {"allow_control": True}
     return config
 
 

@@ -148,8 +148,12 @@ class RunSink:
         if self._secrets:
             event = replace(event, message=without(event.message, self._secrets))
         self._recorder.publish(event)
-        self._display.publish_log(event)
+        self._display.publish_alone(event)
         self.feed.publish_log(event)
+
+    def show_output(self, line: OutputLine) -> None:
+        """Show a line to the user alone: it is neither recorded nor sent to clients."""
+        self._display.publish_alone(line)
 
 
 def run(config: ReplayConfig, options: RunOptions) -> int:

@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch import ExitCode
+from play_launch.cli.background import going_on
 from play_launch.cli.check import describe
 from play_launch.cli.events import text_of
 from play_launch.cli.output import report, say_live, warn
 from play_launch.cli.systemd_unit import program
 from play_launch.config.machines import discovery_problems, used_machines
+from play_launch.control.event_words import event_object, words_of
 from play_launch.control.registration import ControlSocket
 from play_launch.control.serve import hello_of
 from play_launch.control.server import serving
@@ -28,11 +30,11 @@ from play_launch.recording.session import announce, open_session
 from play_launch.runtime.signals import RunSignals, StopRequests
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from play_launch.config.model import ReplayConfig
     from play_launch.recording.session import Session, SessionDescription
-    from play_launch.supervisor.events import LogRecord
+    from play_launch.supervisor.events import LogRecord, OutputLine
 
 _log = logging.getLogger(__name__)
 _SHOWN: Final = frozenset(("action", "log", "machine", "node", "output", "process"))
@@ -52,6 +54,9 @@ class _Screen:
         elif event["event"] in _SHOWN and not (self._quiet and event["event"] == "output"):
             source = f"{machine} {event['source']}" if machine else event["source"]
             say_live(text_of({**event, "source": source}))
+
+    def show_output(self, line: OutputLine) -> None:
+        self.show("", {"machine": "", **event_object(line), **words_of(line)._asdict()})
 
 
 def run_machines(
@@ -79,7 +84,9 @@ def run_machines(
             names = ", ".join(used_machines(config))
             say_live(f"{config.name}: {describe(config)} on {names}")
         coordinator = Coordinator(config, arguments, str(program()), screen.show, session.recorder)
-        work = _until_the_end(coordinator, session, control, signals, detach=detach)
+        work = _until_the_end(
+            coordinator, session, control, signals, screen.show_output, detach=detach
+        )
         try:
             return asyncio.run(work)
         except HostError as error:
@@ -92,6 +99,7 @@ async def _until_the_end(
     session: Session,
     control: ControlSocket,
     signals: RunSignals,
+    show: Callable[[OutputLine], None],
     *,
     detach: bool,
 ) -> int:
@@ -113,10 +121,15 @@ async def _until_the_end(
         machines.write_text(json.dumps(coordinator.recordings(), indent=1))
 
     coordinator.on_change = note_recordings
+    page: contextlib.AbstractAsyncContextManager[None] = contextlib.nullcontext()
+    if config.web is not None:
+        from play_launch.cli.web import run_page  # noqa: PLC0415
+
+        page = going_on("the page", run_page(config.web, session.folder, show))
     with log_published(publish_log), signals.delivered_to(stop.request):
         problem: HostError | None = None
         code: int = ExitCode.OK
-        async with serving(control, hello, coordinator.requests):
+        async with serving(control, hello, coordinator.requests), page:
             try:
                 code = await coordinator.run(stop.requested, stop.hurry, detach=detach)
             except HostError as error:

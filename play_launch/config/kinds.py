@@ -19,6 +19,7 @@ from play_launch.config.resources import (
 )
 from play_launch.config.section import ValueKind
 from play_launch.config.values import (
+    check_address,
     check_namespace,
     check_node_name,
     check_topic,
@@ -276,6 +277,7 @@ RATE: Final = _parsed(
     _parse_rate,
     _substitutable({"type": "number", "exclusiveMinimum": 0}, _pattern(rf"{_NUMBER_AND_UNIT}Hz$")),
 )
+ADDRESS: Final = _text(check_address)
 GRAPH_NAME: Final = _text(lambda name: check_topic(f"/{name.removeprefix('/')}"))
 BUDGET: Final[ValueKind[int | dict[str, float]]] = ValueKind(
     core_schema.no_info_wrap_validator_function(

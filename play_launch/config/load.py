@@ -22,6 +22,7 @@ from play_launch.config.model import (
     SamplingConfig,
     SourceFile,
     StopLimits,
+    WebConfig,
 )
 from play_launch.config.problems import ConfigError, Problem, Report
 from play_launch.config.resolve.machines import Placement, machines_at
@@ -52,7 +53,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.config.model import ContainerConfig
-    from play_launch.config.sections import RecordSection
+    from play_launch.config.sections import RecordSection, WebSection
     from play_launch.config.tree import Node
 
 _LOADING = "composable_node_loading"
@@ -145,6 +146,7 @@ def _resolve(
         managed=MappingProxyType(start_rules.managed(rules)),
         expect=MappingProxyType(expect),
         machines=MappingProxyType(machines),
+        web=_web(document.web, at.at_key("web")),
         discovery=document.discovery.by if document.discovery else DiscoveryBy.MULTICAST,
     )
 
@@ -207,6 +209,15 @@ def _expectations(at: Cursor | None, placement: Placement) -> dict[str, Expectat
             value.problem(f"{topic} is given twice", entry.location)
         found[topic] = Expectation(topic=topic, **given)
     return found
+
+
+def _web(section: WebSection | None, at: Cursor) -> WebConfig | None:
+    if section is None:
+        return None
+    given = section.given
+    if "token_file" in given:
+        given["token_file"] = path_from(at.at_key("token_file"), given["token_file"])
+    return WebConfig(**{**given, "allow_host": tuple(section.allow_host or ())})
 
 
 def _record(section: RecordSection | None) -> RecordConfig:

@@ -95,6 +95,7 @@ def part_of(config: ReplayConfig, machine: str) -> ReplayConfig:
     return replace(
         config,
         machine=machine,
+        web=None,
         containers=containers,
         nodes=nodes,
         environment=MappingProxyType({**config.environment, **own.environment}),

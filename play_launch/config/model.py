@@ -373,6 +373,16 @@ class TakenValues(Struct, frozen=True):
     packages: Mapping[str, str] = _EMPTY
 
 
+class WebConfig(Struct, frozen=True, kw_only=True):
+    """The page that runs beside the system. Without `token_file` tokens are new for each run."""
+
+    bind: str = "127.0.0.1"
+    port: int = 8080
+    allow_control: bool = False
+    token_file: Path | None = None
+    allow_host: tuple[str, ...] = ()
+
+
 class ReplayConfig(Struct, frozen=True, kw_only=True):
     """A whole system.
 
@@ -407,6 +417,7 @@ class ReplayConfig(Struct, frozen=True, kw_only=True):
     machines: Mapping[str, MachineConfig] = _EMPTY
     machine: str = ""
     discovery: DiscoveryBy = DiscoveryBy.MULTICAST
+    web: WebConfig | None = None
 
     @property
     def members(self) -> tuple[ContainerConfig | ProcessConfig, ...]:

@@ -40,6 +40,7 @@ from play_launch.config.sections import (
     ResourcesSection,
     RestartSection,
     StopSection,
+    WebSection,
 )
 
 if TYPE_CHECKING:
@@ -345,6 +346,7 @@ class DocumentSection(ConfigSection):
         "Whether the graph daemon runs beside the nodes, and what it sees is recorded.",
         True,
     )
+    web = nested(WebSection, "The page that runs beside the system.", {"port": 8081})
     environment = raw(
         _VARIABLES,
         "Environment variables for every container and process, names to strings.",

@@ -184,6 +184,26 @@ class ExpectationSection(ConfigSection):
     )
 
 
+class WebSection(ConfigSection):
+    """`web`: the page that runs beside the system; see `play-launch web --help`."""
+
+    bind = optional(
+        kinds.ADDRESS, "Address to listen on. Any other than 127.0.0.1 demands tokens.", "192.0.2.7"
+    )
+    port = optional(kinds.integer(0, 65535), "Its port; 0 takes a free one. By default 8080.", 80)
+    allow_control = optional(
+        kinds.BOOLEAN, "Whether visitors may stop, restart and reload. By default they look.", True
+    )
+    token_file = optional(
+        kinds.FILLED_TEXT, "Where tokens are kept. By default new ones are printed.", "~/tokens"
+    )
+    allow_host = optional(
+        kinds.list_of(kinds.FILLED_TEXT),
+        "Other names under which browsers may call it.",
+        ["robot.example"],
+    )
+
+
 class OnLostSection(ConfigSection):
     """`machines.*.on_lost`: what a machine does that hears nothing of the coordinator any more."""
 

@@ -148,6 +148,16 @@ def check_namespace(namespace: str) -> str:
     return "/" + _checked(relative, namespace, "namespace", LONGEST_NAMESPACE - 1)
 
 
+def check_address(text: str) -> str:
+    """Return an IP address to listen on; raises ValueError."""
+    import ipaddress  # noqa: PLC0415 - for few configurations
+
+    try:
+        return str(ipaddress.ip_address("127.0.0.1" if text == "localhost" else text))
+    except ValueError:
+        raise ValueError(f"expected an IP address such as 0.0.0.0, given {excerpt(text)}") from None
+
+
 def check_topic(name: str) -> str:
     """Return `name` if it is a topic or service: `chatter`, `~/out`, `/sensing/points`."""
     if not name:

@@ -138,7 +138,7 @@ def test_a_record_of_the_log_leaves_the_live_view_as_it_is() -> None:
     display = Display(collecting)
     for shown in folded(container("/c"), node("/c", 0, NodeState.LOADED)):
         display.publish(*shown)
-    display.publish_log(LogRecord(stamp_ns=1, level=30, name="n", message="late"))
+    display.publish_alone(LogRecord(stamp_ns=1, level=30, name="n", message="late"))
     display.close()
     assert style.show(heard, 0) is None, "all that is declared is there: nothing to draw again"
     style.close()

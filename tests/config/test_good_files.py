@@ -17,6 +17,7 @@ from play_launch.config.model import (
     ReplayConfig,
     RestartLimits,
     StopLimits,
+    WebConfig,
 )
 
 GOOD = Path(__file__).parent / "good"
@@ -43,6 +44,9 @@ def test_top_level(full: ReplayConfig) -> None:
     assert full.duration == 120.0
     assert full.log_dir == GOOD / "logs"
     assert full.graph_daemon
+    tokens = GOOD / "tokens"
+    hosts = ("robot.example",)
+    assert full.web == WebConfig(bind="::1", port=0, token_file=tokens, allow_host=hosts)
     assert full.environment == {"RCUTILS_COLORIZED_OUTPUT": "1", "GREETING": "on"}
     assert full.stop == StopLimits(ask=0.0, sigint=0.5, sigterm=1.5)
 
@@ -131,6 +135,7 @@ def test_defaults() -> None:
     assert config.name == "demo"
     assert (config.duration, config.log_dir, config.environment) == (None, None, {})
     assert not config.graph_daemon
+    assert config.web is None
     assert config.stop == StopLimits(ask=3.0, sigint=2.0, sigterm=2.0)
     (main,) = config.containers
     assert (main.namespace, main.full_name) == ("/", "/main")

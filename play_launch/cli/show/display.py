@@ -105,8 +105,8 @@ class Display:
         if not waiting:
             self._wake.set()
 
-    def publish_log(self, event: LogRecord) -> None:
-        """Show a record of the log, in any thread: it neither changes the view nor needs one."""
+    def publish_alone(self, event: LogRecord | OutputLine) -> None:
+        """Show what neither changes the view nor needs one, in any thread."""
         self.publish(event, _NO_VIEW, _NO_VIEW)
 
     def close(self) -> None:

@@ -4,20 +4,32 @@ from __future__ import annotations
 
 import asyncio
 import ipaddress
+import logging
 import os
 import socket
 import ssl
+import time
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from play_launch.cli import options
-from play_launch.cli.output import fail, say_live
+from play_launch.cli.output import fail, printable, say_live
+from play_launch.cli.systemd_unit import program
+from play_launch.container.ros import spawn_guard
+from play_launch.process.companion import run_companion
+from play_launch.supervisor.events import OutputLine, Stream
 
 if TYPE_CHECKING:
-    from play_launch.cli.web.access import Rules, Tokens
+    from collections.abc import Callable, Sequence
 
+    from play_launch.cli.web.access import Rules, Tokens
+    from play_launch.config.model import WebConfig
+    from play_launch.process.lines import Line
+
+_log = logging.getLogger(__name__)
 _LONGEST_MESSAGE: Final = 1_000_000
 """Bytes that a browser may send at once."""
 _CLOSING: Final = 2
@@ -165,11 +177,49 @@ def _kept(file: Path) -> Tokens:
 
 def require_nicegui() -> None:
     """End the process where the extra `web` is not installed."""
-    try:
-        import nicegui  # noqa: F401, PLC0415 - an extra
-        import prometheus_client  # noqa: F401, PLC0415 - the same
-    except ModuleNotFoundError as error:
-        fail(f"web needs {error.name}, which is not there; pip install 'play-launch-py[web]'")
+    if problem := _missing():
+        fail(problem)
+
+
+def _missing() -> str:
+    for name in ("nicegui", "prometheus_client"):
+        if find_spec(name) is None:
+            return f"web needs {name}, which is not there; pip install 'play-launch-py[web]'"
+    return ""
+
+
+async def run_page(config: WebConfig, session: Path, show: Callable[[OutputLine], None]) -> None:
+    """Keep the page of a session running until cancelled.
+
+    What it prints goes to ``show``: tokens are for the user, and for no recording. What it
+    complains about is logged.
+    """
+    if problem := _missing():
+        _log.warning("the page is not shown: %s", problem)
+        return
+
+    def on_output(pid: int, stream: Stream, lines: Sequence[Line]) -> None:
+        for line in lines:
+            text = printable(line.text)
+            if stream is Stream.STDOUT:
+                stamp_ns = time.time_ns()
+                show(
+                    OutputLine(stamp_ns=stamp_ns, process="page", pid=pid, stream=stream, text=text)
+                )
+            else:
+                _log.warning("the page: %s", text)
+
+    words = ["--session", str(session), "--bind", config.bind, "--port", str(config.port)]
+    words += ["--allow-control"] if config.allow_control else []
+    words += ["--token-file", str(config.token_file)] if config.token_file else []
+    words += [word for name in config.allow_host for word in ("--allow-host", name)]
+    await run_companion(
+        "the page is not shown",
+        (str(program()), "web", *words),
+        os.environ,
+        guard_program=spawn_guard(),
+        on_output=on_output,
+    )
 
 
 def _listen(address: ipaddress.IPv4Address | ipaddress.IPv6Address, port: int) -> socket.socket:

@@ -8,12 +8,10 @@ import itertools
 import logging
 import math
 import os
-import random
 import socket
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.model import RestartLimits
 from play_launch.container.environment import child_environment
 from play_launch.container.ros import (
     MixedInstallationError,
@@ -23,13 +21,13 @@ from play_launch.container.ros import (
     topic_recorder,
 )
 from play_launch.process.child import INHERITED, spawn
+from play_launch.process.companion import keep_running
 from play_launch.process.guard import SessionGuard, SpawnError
 from play_launch.recording.topic_recorder import SnapshotError, WrittenBuffer
 from play_launch.recording.topic_recorder import link as wire
 from play_launch.ros.fastdds.middleware import asks_for_fastdds
 from play_launch.ros.fastdds.shared_memory import sweep_shared_memory
 from play_launch.supervisor.expectations import Measured
-from play_launch.supervisor.outcome import RestartHistory, decide
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -42,7 +40,6 @@ if TYPE_CHECKING:
     from play_launch.supervisor.events import Stream
 
 
-_RESTARTS: Final = RestartLimits(max_restarts=3, within=60.0, initial=0.5, maximum=8.0)
 _LONGEST_END: Final = 6.0
 """Seconds it has at the end to pass on the rest; it takes at most 5 itself."""
 _SILENCE: Final = 5.0
@@ -92,7 +89,7 @@ class TopicRecording:
             _log.warning("topics of ROS are not recorded: %s", error)
             return
         try:
-            await self._keep_running()
+            await keep_running("topics of ROS are not recorded", self._live)
         finally:
             await self._end()
             if self._guard is not None:
@@ -159,31 +156,14 @@ class TopicRecording:
         except OSError as error:
             _log.warning("shared memory was not cleaned up: %s", error)
 
-    async def _keep_running(self) -> None:
-        loop = asyncio.get_running_loop()
-        history = RestartHistory()
-        while True:
-            began = loop.time()
-            reason = await self._live()
-            self._measured_again(None)
-            self._on_silence(f"not measured: {reason}")
-            now = loop.time()
-            jitter = random.random()  # noqa: S311 - spreads restarts
-            history, decision = decide(
-                history, _RESTARTS, now=now, lived=now - began, jitter=jitter
-            )
-            if isinstance(decision, str):
-                _log.warning("topics of ROS are not recorded any more: %s; %s", reason, decision)
-                return
-            _log.warning(
-                "topics of ROS are not recorded for %.1f s: %s; it is started again",
-                decision,
-                reason,
-            )
-            await asyncio.sleep(decision)
-
     async def _live(self) -> str:
         """Run it once; the reason why it has ended."""
+        reason = await self._reason_of_end()
+        self._measured_again(None)
+        self._on_silence(f"not measured: {reason}")
+        return reason
+
+    async def _reason_of_end(self) -> str:
         try:
             self._child, self._link = await self._start()
         except (SpawnError, OSError) as error:

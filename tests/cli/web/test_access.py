@@ -180,7 +180,7 @@ def test_a_token_file_that_others_can_read_is_refused(tmp_path: Path) -> None:
 def test_without_the_extra_it_says_how_to_get_it(
     verb: tuple[str, ...], name: str, tmp_path: Path
 ) -> None:
-    (tmp_path / f"{name}.py").write_text(f"raise ModuleNotFoundError(name={name!r})")
+    (tmp_path / "sitecustomize.py").write_text(f"import sys; sys.modules[{name!r}] = None")
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     done = run(*verb, code=2, env=environment)
     assert f"needs {name}" in done.stderr

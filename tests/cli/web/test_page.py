@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import axe_core_python
+import psutil
 import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
@@ -223,12 +224,41 @@ def test_who_may_only_look_gets_no_buttons(session: Replay, browser: Browser) ->
         assert hosts <= {f"127.0.0.1:{server.port}"}, "the page works without a network"
 
 
+def test_a_page_belongs_to_a_system(tmp_path: Path) -> None:
+    config = tmp_path / "shown.yaml"
+    config.write_text(f"{CONFIG}web: {{port: 0, allow_control: true}}\n")
+    with replaying(config, tmp_path / "log") as replay:
+        look = replay.until(event="output", process="page")
+        act = replay.until(event="output", process="page")
+        assert look["text"].endswith("(to look)")
+        assert act["text"].endswith("(to act)")
+        secret = act["text"].partition("token=")[2].partition(" ")[0]
+        first = psutil.Process(act["pid"])
+        server = Server(replay.process, [act["text"]])
+        until(lambda: answers(server), "the page")
+        assert 'unit="/chat:/talker"' in server.get("/metrics", Authorization=f"Bearer {secret}")[2]
+        first.kill()
+        assert "started again" in replay.until(event="log")["message"]
+        again = replay.until(event="output", process="page")
+        assert again["pid"] != first.pid
+        second = psutil.Process(again["pid"])
+        assert [row["name"] for row in json.loads(replay.ask("ps", "--json").stdout)] == [
+            "/chat",
+            "/talker",
+        ]
+        replay.process.send_signal(signal.SIGINT)
+        replay.read_all()
+        assert replay.process.wait(20) == 128 + signal.SIGINT
+        assert not second.is_running()
+        assert secret.encode() not in replay.bag.read_bytes()
+
+
 def test_the_demo_has_a_page(tmp_path: Path) -> None:
     words = ("demo", "--web", "--seconds", "18", "--json", "--log-dir", str(tmp_path))
     events = [json.loads(line) for line in run(*words).stdout.splitlines()]
-    printed = [each["text"] for each in events if each.get("process") == "/page"]
+    said = [each.get("text") or each.get("message", "") for each in events]
     # The port may be taken, and then this is said.
-    assert any("http://127.0.0.1:8080/?token=" in each or "--port 8080" in each for each in printed)
+    assert any("http://127.0.0.1:8080/?token=" in each or "--port 8080" in each for each in said)
     crashed = {each["node"] for each in events if each.get("state") == "crashed"}
     assert crashed == {"/unlucky"}
     found = {each["topic"]: each["is_met"] for each in events if each["event"] == "expectation"}
