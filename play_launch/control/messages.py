@@ -153,6 +153,8 @@ class UnitRow(Struct, frozen=True, kw_only=True):
     """signal that ended its last process"""
     crashes: int
     """crashes of a component, or of all components of a container"""
+    causes: dict[str, int] = {}
+    """how often it ended by itself, by cause: `signal`, `exception`, `exit status`, `unknown status`, `out of memory`, `frozen`, `channel failed`, `node left lock`, `container exited`"""  # noqa: E501 - a cell of a table
     cpu_percent: float | None
     """of one core, in the last second; null without a process of its own, without sampling (`record.sampling`), or just after a start"""  # noqa: E501
     memory_bytes: int | None
@@ -214,6 +216,13 @@ class Results(Struct, frozen=True):
     """Result of an action, or of ``wait``."""
 
     results: tuple[ActionResult, ...]
+
+
+class SystemResult(Struct, frozen=True):
+    """Result of ``system``."""
+
+    up_after_s: float | None
+    """seconds from the start of the session until all containers were started and all loads done; null before"""  # noqa: E501 - a cell of a table
 
 
 class RecordingResult(Struct, frozen=True):

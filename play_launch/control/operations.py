@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter, defaultdict
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import NODE_PARAMETERS
@@ -24,6 +26,7 @@ from play_launch.control.messages import (
     Selected,
     SignalRequest,
     SnapshotResult,
+    SystemResult,
     UnitRow,
     UnitStatus,
     WaitRequest,
@@ -50,6 +53,7 @@ from play_launch.control.units import (
 from play_launch.recording import topics
 from play_launch.recording.topic_recorder import SnapshotError
 from play_launch.supervisor.events import (
+    ContainerStateChanged,
     NodeState,
     NodeStateChanged,
     OutputLine,
@@ -57,6 +61,8 @@ from play_launch.supervisor.events import (
     ProcessEventKind,
     ProcessSample,
 )
+from play_launch.supervisor.outcome import Cause
+from play_launch.supervisor.view import is_up
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
@@ -78,6 +84,9 @@ _SHOWN: int = 10
 _RESTARTS = frozenset(
     {ProcessEventKind.EXITED, ProcessEventKind.RESTARTING, ProcessEventKind.GAVE_UP}
 )
+_CHANGES = (ContainerStateChanged, NodeStateChanged, ProcessEvent)
+_EXPECTED = frozenset({Cause.NONE, Cause.STOPPED, Cause.STOP_TIMEOUT})
+"""Of ends that count as no failure."""
 _CRASHES = frozenset({NodeState.CRASHED, NodeState.LOST, NodeState.LOAD_FAILED, NodeState.GAVE_UP})
 
 
@@ -111,6 +120,15 @@ class Operations:
         self._expectations = expectations
         self._recorder = recorder
         self._samples: Samples = {}
+        self._causes: defaultdict[Target, Counter[str]] = defaultdict(Counter)
+        recent = [each.event for each in feed.recent()]
+        self._began_ns = recent[0].stamp_ns if recent else recorder.clock.now()
+        self._up_after: float | None = None
+        for event in recent:
+            self._count(event)
+        changes = [event for event in recent if isinstance(event, _CHANGES)]
+        if changes:
+            self._note_when_up(changes[-1], publisher.view)
         self._log = log
         coordinated = Coordinated(system, recorder.clock.now)
         actions = Actions(system, publisher, feed, log, expectations)
@@ -129,6 +147,7 @@ class Operations:
             "snapshot": (Nothing, self._snapshot),
             "expectations": (Nothing, self._give_expectations),
             "recording": (Nothing, self._give_recording),
+            "system": (Nothing, self._give_system),
             "apply": (ChangeRequest, apply),
             "clock": (Nothing, coordinated.clock),
             "meet": (Facts, coordinated.meet),
@@ -150,6 +169,24 @@ class Operations:
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:  # noqa: ARG002 - a sink
         if isinstance(event, ProcessSample):
             self._samples[event.kind, event.key] = event
+        elif isinstance(event, _CHANGES):
+            self._count(event)
+            self._note_when_up(event, after)
+
+    def _count(self, event: RunEvent) -> None:
+        match event:
+            case NodeStateChanged(state=NodeState.CRASHED):
+                target: Target = event.key
+            case ProcessEvent(kind=ProcessEventKind.EXITED):
+                target = event.name
+            case _:
+                return
+        if event.cause not in _EXPECTED:
+            self._causes[target][event.cause.name.lower().replace("_", " ")] += 1
+
+    def _note_when_up(self, event: RunEvent, view: SystemView) -> None:
+        if self._up_after is None and is_up(view):
+            self._up_after = round((event.stamp_ns - self._began_ns) / 1e9, 3)
 
     async def _ps(self, request: Selected, _caller: Caller) -> list[UnitRow]:
         view = self._publisher.view
@@ -157,6 +194,7 @@ class Operations:
         if request.names:
             found = set(self._chosen(request.names))
             rows = [row for row in rows if target_of(row) in found]
+        rows = [replace(row, causes=dict(self._causes.get(target_of(row), {}))) for row in rows]
         return await asyncio.to_thread(with_groups, rows)
 
     async def _status(self, request: Selected, caller: Caller) -> list[UnitStatus]:
@@ -185,6 +223,9 @@ class Operations:
             lag=recorder.lag,
             error=recorder.error,
         )
+
+    async def _give_system(self, _request: Nothing, _caller: Caller) -> SystemResult:
+        return SystemResult(up_after_s=self._up_after)
 
     async def _events(self, request: EventsRequest, caller: Caller) -> object:
         if wrong := set(request.kinds) - KINDS:

@@ -43,6 +43,7 @@ class Scrape(NamedTuple):
     rows: list[UnitRow]
     topics: list[dict[str, Any]]
     recording: dict[str, Any]
+    system: dict[str, Any]
 
 
 class _Families:
@@ -57,6 +58,12 @@ class _Families:
         )
         session.add_metric((self._scrape.session,), float(bool(self._scrape.session)))
         yield session
+        if (seconds := self._scrape.system.get("up_after_s")) is not None:
+            yield GaugeMetricFamily(
+                "play_launch_session_start_seconds",
+                "From the start of the session until all was started and loaded.",
+                value=seconds,
+            )
         states = StateSetMetricFamily(
             "play_launch_unit_state", "The class of a unit's state.", labels=_LABELS
         )
@@ -75,6 +82,15 @@ class _Families:
                 if (value := figure(row)) is not None:
                     gauge.add_metric(_labels(row), value)
             yield gauge
+        failures = CounterMetricFamily(
+            "play_launch_unit_failures",
+            "How often a unit ended by itself, by cause.",
+            labels=(*_LABELS, "cause"),
+        )
+        for row in self._scrape.rows:
+            for cause, times in row.causes.items():
+                failures.add_metric((*_labels(row), cause), times)
+        yield failures
         yield from self._topics()
         yield from self._recording()
 

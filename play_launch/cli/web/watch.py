@@ -173,14 +173,13 @@ class Watch:
         def ask() -> Scrape:
             with connect(self._session) as client:
                 rows = msgspec.convert(client.ask("ps"), list[UnitRow], strict=False)
-                return Scrape(
-                    client.hello.name, rows, client.ask("expectations"), client.ask("recording")
-                )
+                more = map(client.ask, ("expectations", "recording", "system"))
+                return Scrape(client.hello.name, rows, *more)
 
         try:
             return await asyncio.to_thread(ask)
         except (NoSessionError, OperationError, OSError):
-            return Scrape("", [], [], {})
+            return Scrape("", [], [], {}, {})
 
     def carry_out(self, confirmed: Confirmation, answer: Callable[[str], None]) -> None:
         """Request an operation; ``answer`` gets the reason of a refusal, or an empty text."""

@@ -38,7 +38,15 @@ if TYPE_CHECKING:
     """Carries out `apply`."""
 
 _ACTIONS: Final = frozenset((*MEMBER_ACTIONS, *NODE_ACTIONS, "signal", "wait"))
-_OTHERS: Final = ("apply", "environment", "events", "expectations", "recording", "snapshot")
+_OTHERS: Final = (
+    "apply",
+    "environment",
+    "events",
+    "expectations",
+    "recording",
+    "snapshot",
+    "system",
+)
 _LISTS: Final = frozenset(("ps", "status", "parameters"))
 _NOTICED: Final = 0.5
 """Seconds in which the loss of a machine is noticed, until it is asked again."""
@@ -98,6 +106,13 @@ class Requests:
                     "lag": max((each["lag"] for each in found), default=0.0),
                     "error": next((each["error"] for each in found if each["error"]), ""),
                 }
+            case "system":
+                found = [
+                    await self.result(part, "system", {}, caller) for part in self._reachable()
+                ]
+                times = [each["up_after_s"] for each in found]
+                is_up = len(times) == len(self._parts) and None not in times
+                return {"up_after_s": max(times) if is_up else None}
             case "expectations":
                 return [
                     {**row, "machine": part.name}

@@ -105,6 +105,16 @@ def test_metrics_tell_the_states(session: Replay) -> None:
         assert up == {"/chat": 1, "/chat:/talker": 1}
         assert families["play_launch_unit_restarts"].samples[0].name.endswith("_total")
         assert families["play_launch_session_up"].samples[0].value == 1
+        (start,) = families["play_launch_session_start_seconds"].samples
+        assert 0 < start.value < 60
+        os.kill(session.pids()["/talker"], signal.SIGSEGV)
+        session.read_until_states({"/talker": "crashed"})
+        text = server.get("/metrics")[2]
+        failed = (
+            'failures_total{cause="signal",kind="component",machine="",unit="/chat:/talker"} 1.0'
+        )
+        assert failed in text
+        session.read_until_states({"/talker": "loaded"})
         session.until(event="expectation", topic="/chatter", is_met=True)
         text = server.get("/metrics")[2]
         assert 'play_launch_topic_as_expected{machine="",topic="/chatter"} 1.0' in text
