@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from play_launch.config.expectations import Expectation
 from play_launch.config.includes import Documents
 from play_launch.config.machines import DiscoveryBy
 from play_launch.config.model import (
@@ -25,6 +23,7 @@ from play_launch.config.model import (
     WebConfig,
 )
 from play_launch.config.problems import ConfigError, Problem, Report
+from play_launch.config.resolve.expectations import Expectations
 from play_launch.config.resolve.machines import Placement, machines_at
 from play_launch.config.resolve.nodes import (
     NodeNames,
@@ -41,12 +40,11 @@ from play_launch.config.resolve.policy import (
     refined_resources,
 )
 from play_launch.config.schema import DocumentSection, LoadingSection
-from play_launch.config.section import entries_of, items_of, validate_mapping, well_formed
-from play_launch.config.sections import ExpectationSection
+from play_launch.config.section import items_of, validate_mapping, well_formed
 from play_launch.config.source import Refused, path_from, read_bytes
 from play_launch.config.substitutions import Inputs, InputsUsed
 from play_launch.config.tree import Cursor, Mapping, Sequence
-from play_launch.config.values import check_topic, resolve_environment
+from play_launch.config.values import resolve_environment
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,7 +55,6 @@ if TYPE_CHECKING:
     from play_launch.config.tree import Node
 
 _LOADING = "composable_node_loading"
-_EXPECTABLE = "give " + ", ".join(key for key in ExpectationSection.keys if key != "machine")
 
 
 def load_config(
@@ -116,12 +113,13 @@ def _resolve(
     groups = GroupRules(loading.cgroups, at.at_key(_LOADING).value("cgroups"))
     machines = machines_at(at.value("machines"))
     placement = Placement(at, machines, None if document is None else document.machine)
-    shared = SharedContext(files, environment, start_rules, names, groups, placement)
+    expected = Expectations(placement)
+    expected.add(at.value("expect"))
+    shared = SharedContext(files, environment, start_rules, names, groups, placement, expected)
     containers = _containers(at, shared, loading)
     processes = [resolve_process(item, shared) for item in items_of(at.value("nodes"), "nodes")]
     nodes = tuple(process for process in processes if process is not None)
-    expect = _expectations(at.value("expect"), placement)
-    rules = start_rules.resolved(containers, nodes, expect)
+    rules = start_rules.resolved(containers, nodes, expected.found)
     lists = [at.value("containers"), at.value("nodes")]
     if all(one is None or (isinstance(one.node, Sequence) and not one.node.items) for one in lists):
         at.problem("nothing to start; give containers or nodes")
@@ -144,7 +142,7 @@ def _resolve(
         nodes=nodes,
         start_rules=MappingProxyType(rules),
         managed=MappingProxyType(start_rules.managed(rules)),
-        expect=MappingProxyType(expect),
+        expect=MappingProxyType(expected.found),
         machines=MappingProxyType(machines),
         web=_web(document.web, at.at_key("web")),
         discovery=document.discovery.by if document.discovery else DiscoveryBy.MULTICAST,
@@ -182,33 +180,6 @@ def _refuse_unread(at: Cursor, loading: LoadingSection, kinds: set[ContainerType
         if value is not None and getattr(loading, key) is not None:
             message = f"no container has container_type {readers}, so nothing reads {key}"
             value.problem(message)
-
-
-def _expectations(at: Cursor | None, placement: Placement) -> dict[str, Expectation]:
-    """Return what is expected of topics, by their full names; mistakes are reported."""
-    found: dict[str, Expectation] = {}
-    for entry, value in entries_of(at, "topics to what is expected of them"):
-        section = validate_mapping(ExpectationSection, value)
-        topic = f"/{entry.key.removeprefix('/')}"
-        try:
-            check_topic(topic)
-        except ValueError as error:
-            value.problem(str(error), entry.location)
-            continue
-        if section is None:
-            continue
-        given = section.given
-        if not given.keys() - {"machine"}:
-            value.problem(f"nothing is expected of it; {_EXPECTABLE}")
-        if given.get("max_rate", math.inf) < given.get("min_rate", 0.0):
-            value.at_key("max_rate").problem("is less than min_rate")
-        if "type" in given and "/msg/" not in given["type"]:
-            given["type"] = given["type"].replace("/", "/msg/", 1)
-        given["machine"] = placement.place(value, section.machine)
-        if topic in found:
-            value.problem(f"{topic} is given twice", entry.location)
-        found[topic] = Expectation(topic=topic, **given)
-    return found
 
 
 def _web(section: WebSection | None, at: Cursor) -> WebConfig | None:

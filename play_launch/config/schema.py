@@ -122,6 +122,11 @@ class NodeSection(ConfigSection):
         {"chatter": "/sensing/chatter"},
         ["image:=~/image"],
     )
+    expect = mapped(
+        ExpectationSection,
+        "What is expected of topics, named as by the node.",
+        {"scan": {"min_rate": "8 Hz"}},
+    )
 
 
 class MemberSection(UnitSection):

@@ -34,6 +34,37 @@ def test_what_can_be_expected() -> None:
     }
 
 
+def test_nodes_name_topics_as_they_know_them() -> None:
+    config = read("""\
+machines: {main: {local: true}, vision: {}}
+containers:
+  - name: eyes
+    machine: vision
+    composable_nodes:
+      - package: demo
+        plugin: demo::Lidar
+        name: lidar
+        namespace: /front
+        remappings: {points: /cloud, ~/state: health}
+        expect:
+          points: {min_rate: 9}
+          scan: {min_rate: 8}
+          ~/state: {min_rate: 7}
+          ~/raw: {min_rate: 6}
+          /tf: {min_rate: 5, machine: main}
+nodes:
+  - {name: planner, command: [x], depends_on: [{expect: /cloud}], expect: {path: {min_rate: 4}}}
+""")
+    assert {(each.topic, each.machine, each.min_rate) for each in config.expect.values()} == {
+        ("/cloud", "vision", 9),
+        ("/front/scan", "vision", 8),
+        ("/front/health", "vision", 7),
+        ("/front/lidar/raw", "vision", 6),
+        ("/tf", "main", 5),
+        ("/path", "main", 4),
+    }
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
@@ -42,7 +73,7 @@ def test_what_can_be_expected() -> None:
             "3:36: expect.scan.max_rate: is less",
         ),
         ("scan: {}", "3:9: expect.scan: nothing is expected of it; give type, min_rate, max_rate"),
-        ("'b b': {max_gap: 1 s}", '3:3: expect."b b": the topic name "/b b" holds " "'),
+        ("'b b': {max_gap: 1 s}", '3:3: expect."b b": the topic name "b b" holds " "'),
         ("scan: {reliability: no}", 'expected reliable or best_effort, given "no"'),
         ("scan: {min_rate: fast}", 'expected a rate such as 10 or 10 Hz, given "fast"'),
         ("scan: {min_rate: true}", "expected a rate such as 10 or 10 Hz"),

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping as Variables
 
     from play_launch.config.problems import Location
+    from play_launch.config.resolve.expectations import Expectations
     from play_launch.config.resolve.machines import Placement
     from play_launch.config.resolve.order import StartRules
     from play_launch.config.resolve.parameter_files import ParameterFileReader
@@ -142,6 +143,9 @@ class SharedContext(Struct, frozen=True):
     names: NodeNames
     groups: GroupRules
     placement: Placement
+    expected: Expectations
+    machine: str = ""
+    """That the nodes of a container run on."""
 
 
 def _own(section: ConfigSection, config: type[Struct], at: Cursor) -> dict[str, Any]:
@@ -173,6 +177,7 @@ def resolve_container(at: Cursor, shared: SharedContext, policy: Policy) -> Cont
     refuse_unread(ISOLATED_KEYS, kind, at)
     namespace = section.namespace or "/"
     full_name = join_full_name(namespace, section.name)
+    shared = replace(shared, machine=machine)
     nodes = _composable_nodes(at, shared, policy, full_name, kind)
     if not kind.is_multi_threaded:
         policy = replace(policy, given=policy.given | {"thread_num": None})
@@ -255,6 +260,7 @@ def _composable_node(
     key = NodeKey(container, name)
     shared.start_rules.declare(str(key), at, section.start_delay)
     shared.start_rules.declare_managed(str(key), full_name, at, section)
+    _expect(at, shared, section, full_name, values["remappings"])
     values = {
         **_own(section, ComposableNodeConfig, at),
         **values,
@@ -303,7 +309,24 @@ def resolve_process(at: Cursor, shared: SharedContext) -> ProcessConfig | None:
         at.at_key("restart").problem("only read with on_exit: restart; add that")
     shared.start_rules.declare(full_name, at, section.start_delay)
     shared.start_rules.declare_managed(full_name, given_name, at, section)
+    _expect(at, replace(shared, machine=machine), section, given_name, config.remappings)
     return config
+
+
+def _expect(
+    at: Cursor,
+    shared: SharedContext,
+    section: ComposableNodeSection | ProcessSection,
+    node: str | None,
+    remappings: tuple[tuple[str, str], ...],
+) -> None:
+    shared.expected.add(
+        at.value("expect"),
+        namespace=section.namespace or "/",
+        node=node,
+        remappings=remappings,
+        machine=shared.machine,
+    )
 
 
 def _check_combinations(at: Cursor) -> None:

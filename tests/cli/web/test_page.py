@@ -30,13 +30,14 @@ CONFIG = """\
 version: 1
 name: shown
 environment: {ROS_AUTOMATIC_DISCOVERY_RANGE: LOCALHOST}
-expect:
-  /chatter: {publishers: 1, min_rate: 5 Hz}
 containers:
   - name: chat
     container_type: isolated
     composable_nodes:
-      - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}
+      - package: play_launch_demo
+        plugin: play_launch_demo::Talker
+        name: talker
+        expect: {chatter: {publishers: 1, min_rate: 5 Hz}}
 """
 DIALOG = "document.querySelector('.q-dialog')"
 BUTTONS = "[...document.querySelectorAll('button')]"
