@@ -119,6 +119,7 @@ class _Page:
             self._counts = ui.label()
             ui.space()
             ui.label("" if self._may_act else "read only")
+            self._bring_up = ui.link("Bring-up", "/sessions", new_tab=True).classes("text-white")
             ui.link("Sessions", "/sessions").classes("text-white")
         self._problem = ui.label().classes("text-red-9 text-weight-bold").props('role="alert"')
         with ui.row().classes("items-center w-full"):
@@ -152,6 +153,7 @@ class _Page:
         self._seen = self._watch.changes
         self._title.text = self._watch.name or "play-launch"
         ui.page_title(self._title.text)
+        self._bring_up.props(f'href="{self._watch.bring_up}"')
         count = len(self._watch.rows)
         left_out = f"; {_MOST_ROWS} are shown" if count > _MOST_ROWS else ""
         if self._watch.missed:

@@ -7,6 +7,7 @@ import contextlib
 import time
 from collections import deque
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -79,6 +80,13 @@ class Watch:
         if self._client is None:
             raise OperationError(Code.INTERNAL, self.problem)
         return self._client.hello.folder
+
+    @property
+    def bring_up(self) -> str:
+        """Where it is shown how the system came up; without a connection, the list of sessions."""
+        if self._client is None:
+            return "/sessions"
+        return f"/report/{Path(self._client.hello.folder).name}#bring-up-card"
 
     def enter(self) -> None:
         """A page is open."""

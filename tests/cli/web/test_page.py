@@ -163,6 +163,20 @@ def test_topics_are_compared_with_what_is_expected(session: Replay, browser: Bro
 
 
 @needs_browser
+def test_how_the_system_came_up_is_a_click_away(session: Replay, browser: Browser) -> None:
+    with serving("--session", session.pid) as server:
+        visit(browser, server)
+        link = "[...document.querySelectorAll('a')].find((each) => each.innerText === 'Bring-up')"
+        browser.until(f"{link}.href.includes('/report/')")
+        browser.call("Page.navigate", url=browser.run(f"{link}.href"))
+        browser.until("document.documentElement.dataset.ready === 'yes'")
+        shown = browser.run("document.querySelector('#bring-up-card').innerText")
+        assert "The last was /talker (loaded)" in shown
+        place = "document.querySelector('#bring-up-card').getBoundingClientRect()"
+        browser.until(f"{place}.top >= 0 && {place}.bottom <= innerHeight")
+
+
+@needs_browser
 def test_a_crash_appears_and_a_click_reloads(session: Replay, browser: Browser) -> None:
     with serving("--session", session.pid, "--allow-control", count=2) as server:
         visit(browser, server)
