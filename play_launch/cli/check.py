@@ -53,7 +53,9 @@ def check(  # noqa: PLR0917 - options, by name
     if explain and graph and not as_json:
         fail("--graph and --explain: only --json prints both")
     try:
-        loaded = load_config(config, Inputs(arguments=parse_arguments(arguments or ())))
+        loaded = load_config(
+            config, Inputs(arguments=parse_arguments(arguments or ())), machine=machine
+        )
     except ConfigError as error:
         if as_json:
             problems = [asdict(problem) for problem in error.problems]

@@ -90,7 +90,7 @@ def bring_up(
     """Run a system until its end and return the exit code; mistakes end the process."""
     if watch and is_recording(config):
         fail(f"--watch: {config} is a recording, which does not change; leave out --watch")
-    loaded = _load(config, duration, arguments)
+    loaded = _load(config, duration, arguments, machine)
     if machine:
         from play_launch.cli.check import part  # noqa: PLC0415
 
@@ -136,7 +136,9 @@ def bring_up(
     )
 
 
-def _load(path: Path, duration: float | None, arguments: Sequence[str]) -> ReplayConfig:
+def _load(
+    path: Path, duration: float | None, arguments: Sequence[str], machine: str
+) -> ReplayConfig:
     from msgspec.structs import replace  # noqa: PLC0415 - after the first process
 
     from play_launch.config.load import load_config  # noqa: PLC0415
@@ -150,7 +152,7 @@ def _load(path: Path, duration: float | None, arguments: Sequence[str]) -> Repla
 
             loaded = load_recorded(path, given)
         else:
-            loaded = load_config(path, Inputs(arguments=given))
+            loaded = load_config(path, Inputs(arguments=given), machine=machine)
     except ConfigError as error:
         fail(f"{path} cannot be used, nothing was started\n{error.for_people()}")
     return loaded if duration is None else replace(loaded, duration=duration)

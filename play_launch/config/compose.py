@@ -14,8 +14,8 @@ import yaml
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from play_launch.config.problems import Location, excerpt, join_path
-from play_launch.config.substitutions import may_hold_substitutions
+from play_launch.config.problems import Location, Problem, excerpt, join_path
+from play_launch.config.substitutions import PackageMissingError, may_hold_substitutions
 from play_launch.config.tree import (
     Entry,
     Mapping,
@@ -187,6 +187,9 @@ class _Composer:
             if self._reading.substitute is not None and may_hold_substitutions(text):
                 text = _refuse_in_key(text) if is_key else self._reading.substitute(text)
             kind, value = resolve_scalar(text, tag, plain=plain)
+        except PackageMissingError as error:
+            self._report.missing_packages[location] = Problem.at(location, path, str(error))
+            kind, value = ScalarKind.STRING, text
         except ValueError as error:
             problem = str(error)
             if tag in ARRAY_TAGS:

@@ -137,6 +137,8 @@ class Documents:
             if at_file is None or not at_file.string:
                 (at_file or entry).expected(_ENTRY)
                 continue
+            if at_file.node.location in self._report.missing_packages:
+                continue
             path = path_from(at_file, at_file.string)
             ancestors = (*file.ancestors, os.path.realpath(file.path))
             content = self._content(at_file, path, ancestors)

@@ -43,7 +43,7 @@ from play_launch.config.schema import DocumentSection, LoadingSection
 from play_launch.config.section import items_of, validate_mapping, well_formed
 from play_launch.config.source import Refused, path_from, read_bytes
 from play_launch.config.substitutions import Inputs, InputsUsed
-from play_launch.config.tree import Cursor, Mapping, Sequence
+from play_launch.config.tree import Cursor, Mapping, Sequence, scalars_of
 from play_launch.config.values import resolve_environment
 
 if TYPE_CHECKING:
@@ -52,7 +52,6 @@ if TYPE_CHECKING:
 
     from play_launch.config.model import ContainerConfig
     from play_launch.config.sections import RecordSection, WebSection
-    from play_launch.config.tree import Node
 
 _LOADING = "composable_node_loading"
 
@@ -61,15 +60,17 @@ def load_config(
     path: Path,
     inputs: Inputs | None = None,
     read: Callable[[Path], bytes | Refused] = read_bytes,
+    machine: str = "",
 ) -> ReplayConfig:
     """Read and validate the configuration at `path`, and the files it includes and names.
 
+    Packages that only other machines than `machine`, by default the local one, need may be missing.
     Raises ConfigError with every problem found. Reading files, by `read`, is the only effect.
     """
     content = read(path)
     if isinstance(content, Refused):
         raise ConfigError((Problem.at(content.location, "(file)", content.message),))
-    return parse_config(content, path, read, inputs)
+    return parse_config(content, path, read, inputs, machine)
 
 
 def parse_config(
@@ -77,6 +78,7 @@ def parse_config(
     source: Path,
     read: Callable[[Path], bytes | Refused] = read_bytes,
     inputs: Inputs | None = None,
+    machine: str = "",
 ) -> ReplayConfig:
     """Validate `content` as if it had been read from `source`; raise ConfigError as above.
 
@@ -87,7 +89,11 @@ def parse_config(
     documents = Documents(report, read, used)
     root = documents.read(content, source)
     files = ParameterFileReader(report, read)
-    config = None if root is None else _resolve(root, source, content, files, report)
+    config = (
+        None
+        if root is None
+        else _resolve(Cursor(root, "", report), source, content, files, machine)
+    )
     report.raise_if_any(str(source))
     assert config is not None
     included = tuple(SourceFile(path, text) for path, text in documents.included.items())
@@ -95,12 +101,11 @@ def parse_config(
 
 
 def _resolve(
-    root: Node, source: Path, content: bytes, files: ParameterFileReader, report: Report
+    at: Cursor, source: Path, content: bytes, files: ParameterFileReader, machine: str
 ) -> ReplayConfig | None:
-    """Return the configuration in `root`; None, or nothing to rely on, if `report` got problems."""
-    at = Cursor(root, "", report)
+    """Return the configuration; None, or nothing to rely on, if problems were reported."""
     document = validate_mapping(DocumentSection, at)
-    if not isinstance(root, Mapping):
+    if not isinstance(at.node, Mapping):
         return None
     environment = resolve_environment(at.value("environment"))
     names = NodeNames()
@@ -115,6 +120,7 @@ def _resolve(
     placement = Placement(at, machines, None if document is None else document.machine)
     expected = Expectations(placement)
     expected.add(at.value("expect"))
+    _report_missing_packages(at, placement, machine)
     shared = SharedContext(files, environment, start_rules, names, groups, placement, expected)
     containers = _containers(at, shared, loading)
     processes = [resolve_process(item, shared) for item in items_of(at.value("nodes"), "nodes")]
@@ -147,6 +153,19 @@ def _resolve(
         web=_web(document.web, at.at_key("web")),
         discovery=document.discovery.by if document.discovery else DiscoveryBy.MULTICAST,
     )
+
+
+def _report_missing_packages(at: Cursor, placement: Placement, machine: str) -> None:
+    """Report them, but for those that only entries of other machines name."""
+    missing = dict(at.report.missing_packages)
+    for key in ("containers", "nodes"):
+        at_list = at.value(key)
+        for item in () if at_list is None or not missing else at_list.elements():
+            if placement.is_elsewhere(item, machine):
+                for scalar in scalars_of(item.node):
+                    missing.pop(scalar.location, None)
+    for problem in missing.values():
+        at.report.add_missing(problem)
 
 
 def _containers(

@@ -89,6 +89,9 @@ class Report:
 
     def __init__(self) -> None:
         self._problems: dict[Problem, None] = {}
+        self.missing_packages: dict[Location, Problem] = {}
+        """Of values that are read as they are, and matter only where their machine is this one."""
+        self._missing_here: dict[tuple[str, int, int], Problem] = {}
 
     def __len__(self) -> int:
         return len(self._problems)
@@ -99,10 +102,21 @@ class Report:
     def add(self, location: Location, path: str, message: str) -> None:
         self._problems[Problem.at(location, path, message)] = None
 
+    def add_missing(self, problem: Problem) -> None:
+        """Add the problem of a missing package; no other one of the same value is reported."""
+        self._problems[problem] = None
+        self._missing_here[problem.file, problem.line, problem.column] = problem
+
     def raise_if_any(self, first_file: str) -> None:
         """Raise ConfigError if anything was found: `first_file` first, then by location."""
         if self._problems:
-            ordered = sorted(self._problems, key=lambda found: (found.file != first_file, found))
+            missing = self._missing_here
+            kept = [
+                each
+                for each in self._problems
+                if missing.get((each.file, each.line, each.column), each) == each
+            ]
+            ordered = sorted(kept, key=lambda found: (found.file != first_file, found))
             raise ConfigError(tuple(ordered))
 
 

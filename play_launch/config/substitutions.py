@@ -94,7 +94,7 @@ class InputsUsed:
         if package not in self._packages:
             folder = self._inputs.find_share(package)
             if folder is None:
-                raise SubstitutionError(
+                raise PackageMissingError(
                     f"no package {package} is installed: none of the prefixes in "
                     f"AMENT_PREFIX_PATH has it, nor has {sys.prefix}; source its workspace"
                 )
@@ -121,6 +121,10 @@ def parse_arguments(texts: Sequence[str]) -> dict[str, str]:
 
 class SubstitutionError(ValueError):
     """A substitution with a mistake, or without a value; the text is the fix."""
+
+
+class PackageMissingError(SubstitutionError):
+    """A package that is not installed here; it may be on another machine."""
 
 
 class Lookup(Struct, frozen=True):

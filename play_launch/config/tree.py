@@ -182,6 +182,16 @@ class Mapping(Struct, frozen=True, eq=False):
 Node: TypeAlias = Scalar | Sequence | Mapping
 
 
+def scalars_of(node: Node) -> Iterator[Scalar]:
+    """Yield all values that stand in it."""
+    if isinstance(node, Scalar):
+        yield node
+        return
+    below = (each.value for each in node.entries) if isinstance(node, Mapping) else node.items
+    for each in below:
+        yield from scalars_of(each)
+
+
 class Cursor(Struct, frozen=True):
     """A node, the path that leads to it, and the report for problems with it."""
 

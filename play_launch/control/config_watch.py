@@ -53,14 +53,14 @@ async def watch(
         await asyncio.sleep(PERIOD)
         if await in_a_thread(partial(_read, contents)) != now:
             continue  # it is being written
-        found, contents = await in_a_thread(partial(_load, watched))
+        found, contents = await in_a_thread(partial(_load, watched, config.machine))
         if isinstance(found, ConfigError):
             _log.error("%s is not applied:\n%s", watched.path, found.for_people())
         else:
             await apply(found)
 
 
-def _load(watched: Watched) -> tuple[ReplayConfig | ConfigError, Contents]:
+def _load(watched: Watched, machine: str) -> tuple[ReplayConfig | ConfigError, Contents]:
     """Read the configuration; also give all files that were asked for, there or not.
 
     A mistake may be corrected in a file that no valid configuration has named yet.
@@ -73,7 +73,8 @@ def _load(watched: Watched) -> tuple[ReplayConfig | ConfigError, Contents]:
         return found
 
     try:
-        return load_config(watched.path, Inputs(arguments=watched.arguments), read), contents
+        inputs = Inputs(arguments=watched.arguments)
+        return load_config(watched.path, inputs, read, machine), contents
     except ConfigError as error:
         return error, contents
 

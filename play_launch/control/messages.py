@@ -109,8 +109,8 @@ class ChangeRequest(Struct, frozen=True, kw_only=True):
     """the configuration itself, if it is not a file; `path` is its name then"""
     arguments: tuple[str, ...] = ()
     """`name:=value` each"""
-    environment: dict[str, str] = {}
-    """variables for `${env:...}` and the packages of the configuration"""
+    environment: dict[str, str] | None = None
+    """variables for `${env:...}` and the packages of the configuration; those of the session where they are missing"""  # noqa: E501 - a cell of a table
     timeout: Seconds = 60.0
     """seconds for each step"""
     rollback_on_failure: bool = False

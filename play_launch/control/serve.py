@@ -138,7 +138,7 @@ class Changes(Struct, kw_only=True, eq=False):
 
     async def apply(self, request: ChangeRequest, caller: Caller) -> object:
         """Send the plan, and apply it unless it is a dry run; raises OperationError."""
-        target = self._with_command_line(await read_change(request))
+        target = self._with_command_line(await read_change(request, self.started_with.machine))
         if request.dry_run:
             applying = self.source if self._is_busy else None
             return {"plan": self._applying.plan(target), "applying": applying}
@@ -246,18 +246,19 @@ class Changes(Struct, kw_only=True, eq=False):
         return self.task
 
 
-async def read_change(request: ChangeRequest) -> ReplayConfig:
-    """Read what is to be applied; raises OperationError."""
+async def read_change(request: ChangeRequest, machine: str = "") -> ReplayConfig:
+    """Read what is to be applied on a machine; raises OperationError."""
     path = Path(request.path)
+    environment = os.environ if request.environment is None else request.environment
     try:
         inputs = Inputs(
             arguments=parse_arguments(request.arguments),
-            environ=request.environment,
-            find_share=partial(share_folder, environ=request.environment),
+            environ=dict(environment),
+            find_share=partial(share_folder, environ=environment),
         )
         if request.text is None:
-            return await in_a_thread(partial(load_config, path, inputs))
-        read = partial(parse_config, request.text.encode(), path, inputs=inputs)
+            return await in_a_thread(partial(load_config, path, inputs, machine=machine))
+        read = partial(parse_config, request.text.encode(), path, inputs=inputs, machine=machine)
         return await in_a_thread(read)
     except ConfigError as error:
         text = f"{request.path} cannot be used, nothing was changed\n{error.for_people()}"

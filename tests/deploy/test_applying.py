@@ -98,6 +98,46 @@ def test_a_machine_comes_and_goes(net: Hosts, tmp_path: Path) -> None:
     assert not supervisors(net, 3)
 
 
+def test_a_machine_has_packages_and_variables_of_its_own(net: Hosts, tmp_path: Path) -> None:
+    share = tmp_path / "there/share"
+    index = share / "ament_index/resource_index/packages/only_there"
+    program = tmp_path / "there/lib/only_there/hello"
+    parameters = share / "only_there/hello.yaml"
+    for file in (index, program, parameters):
+        file.parent.mkdir(parents=True, exist_ok=True)
+    index.write_text("")
+    parameters.write_text("/**: {ros__parameters: {rate: 1.0}}\n")
+    program.write_text('#!/bin/sh\necho "hello $GREETING $1 $2"; exec sleep 1000\n')
+    program.chmod(0o755)
+    setup = tmp_path / "setup.bash"
+    setup.write_text(f"export AMENT_PREFIX_PATH={tmp_path}/there:$AMENT_PREFIX_PATH WHO=robot\n")
+    config = system(tmp_path, "own", h3=f", setup: [{setup}]")
+    config.write_text(f"""{config.read_text()}\
+  - name: hello
+    machine: h3
+    package: only_there
+    executable: hello
+    arguments: [$(find-pkg-share only_there), first]
+    parameters: [$(find-pkg-share only_there)/hello.yaml]
+    environment: {{GREETING: "${{env:WHO:-nobody}}"}}
+""")
+    assert "h3: 1 container with 1 node, 2 processes" in net.run("check", str(config)).stdout
+    assert net.run("check", "--machine", "main", str(config)).returncode == 0
+    there = net.run("check", "--machine", "h3", str(config))
+    assert "no package only_there is installed" in there.stderr
+    with running(net, config) as own:
+        own.loaded()
+        until(lambda: f"hello robot {share}/only_there" in own.ask("logs", "hello"), "its line")
+        config.write_text(config.read_text().replace("first", "second"))
+        own.ask("apply", str(config))
+        until(lambda: own.ask("logs", "hello").count("hello robot") == 2, "its second line")
+        config.write_text(
+            config.read_text().replace("machine: h3\n    package", "machine: h2\n    package")
+        )
+        assert "no package only_there is installed" in own.ask("apply", str(config), code=2)
+        own.stop()
+
+
 def test_a_system_moves_to_other_machines(net: Hosts, tmp_path: Path) -> None:
     config = system(tmp_path, "nomad")
     small = without_h3(config)

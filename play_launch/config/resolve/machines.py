@@ -95,6 +95,13 @@ class Placement:
             )
         return self._default
 
+    def is_elsewhere(self, at: Cursor, machine: str) -> bool:
+        """Whether an entry is of another machine than that one; without a name, than the local."""
+        local = next((name for name, each in self._machines.items() if each.local), "")
+        named = at.value("machine")
+        place = self._default if named is None else named.string
+        return place in self._machines and place != (machine or local)
+
     def _known(self, machine: str, at: Cursor) -> bool:
         if machine in self._machines:
             return True

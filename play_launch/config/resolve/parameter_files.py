@@ -79,6 +79,8 @@ class ParameterFileReader:
         if not path.strip() or "\x00" in path:
             at.problem("expected the path of a parameter file")
             return []
+        if at.node.location in self._report.missing_packages:
+            return []
         file = path_from(at, path)
         if file not in self._sections:
             self._sections[file] = self._read(file)
