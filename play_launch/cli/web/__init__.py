@@ -17,7 +17,6 @@ import typer
 
 from play_launch.cli import options
 from play_launch.cli.output import fail, printable, say_live
-from play_launch.cli.systemd_unit import program
 from play_launch.container.ros import spawn_guard
 from play_launch.process.companion import run_companion
 from play_launch.supervisor.events import OutputLine, Stream
@@ -194,6 +193,8 @@ async def run_page(config: WebConfig, session: Path, show: Callable[[OutputLine]
     What it prints goes to ``show``: tokens are for the user, and for no recording. What it
     complains about is logged.
     """
+    from play_launch.cli.systemd_unit import program  # noqa: PLC0415 - another command's module
+
     if problem := _missing():
         _log.warning("the page is not shown: %s", problem)
         return
