@@ -243,12 +243,11 @@ class Recorder:
 
     def _request(self, carry_out: Callable[[], None], give_up: Callable[[], None]) -> None:
         with self._changed:
-            is_closed = self._is_closed
-            if not is_closed:
+            if not self._is_closed:
                 self._requests.append((carry_out, give_up))
                 self._changed.notify()
-        if is_closed:
-            give_up()
+                return
+        give_up()
 
     def _run(self) -> None:
         try:
@@ -313,15 +312,17 @@ class Recorder:
                 self._requests[0][0]()
                 self._requests.popleft()
         except WriteFailedError as error:
+            was_end = self._end.is_set()
             self._wait_for_disk(error)  # events come first, then the request is repeated
+            if was_end and self._requests:  # which was that already, and leaves no room
+                self._requests.popleft()[1]()
         else:
             self._is_closed = is_closing and not self._events
 
     def _write(self, batch: list[tuple[int, RunEvent | list[Decision]]]) -> bool:
         """Write events and inputs; return whether a line among them was an error."""
         has_error = False
-        # In a flood the event loop is busy as well and would in turn keep the lock for 5 ms each
-        # time: then only an equal share keeps up.
+        # In a flood the event loop, busy as well, would keep the lock for 5 ms each time.
         is_flood = len(batch) >= _FLOOD
         for number, (received, event) in enumerate(batch, 1):
             self._unwritten = len(batch) - number
@@ -350,8 +351,7 @@ class Recorder:
                 except WriteFailedError as error:
                     self._wait_for_disk(error)
             if not is_flood and not number & 63:
-                # Gives up the interpreter lock; otherwise the event loop gets it back only after
-                # the switch interval, 5 ms.
+                # Otherwise the event loop gets the lock back only after the switch interval, 5 ms.
                 time.sleep(0)
         return has_error
 

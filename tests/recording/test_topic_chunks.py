@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import queue
 import struct
 import threading
 import zlib
@@ -21,7 +22,8 @@ from play_launch.recording.chunk import ChannelPart, TopicChunk
 from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.recorder import Recorder
 from play_launch.recording.resolved_form import in_messages
-from play_launch.recording.topics import PARAMETER_EVENTS, PARAMETERS, Topic
+from play_launch.recording.topics import LOG_ALL, PARAMETER_EVENTS, PARAMETERS, Topic
+from play_launch.supervisor.events import LogRecord
 from tests.recording.reading import raw_messages, records
 from tests.recording.test_bag import write_lines
 
@@ -137,6 +139,24 @@ def test_a_chunk_waits_for_room_on_the_disk(tmp_path: Path) -> None:
     assert summary.interruptions == 3
     assert summary.dropped == summary.topic_drops == 0
     assert [each.data for each in raw_messages(summary.path, "/one")] == [b"abcd"]
+
+
+def test_a_chunk_for_which_there_is_no_room_at_the_end_is_left_out(tmp_path: Path) -> None:
+    bag = FullDisk(tmp_path / "x.mcap")
+    bag.failures = 200
+    recorder = Recorder(bag)
+    answered = queue.SimpleQueue[int]()
+    recorder.open_channel("/one", LOG, "- depth: 1", answered.put)
+    channel = answered.get(timeout=10)
+    done = threading.Event()
+    recorder.append_chunk(chunk_of([(channel, 5, b"abcd")]), done.set)
+    recorder.publish(LogRecord(stamp_ns=1, level=40, name="n", message="a crash"))
+    summary = recorder.close()
+    assert done.is_set()
+    assert summary.interruptions <= 3, "it is tried once more"
+    assert (summary.topic_drops, summary.dropped, summary.error) == (1, 0, "")
+    (log,) = raw_messages(summary.path, LOG_ALL.name)
+    assert b"a crash" in log.data
 
 
 @pytest.mark.parametrize("descriptor", [-1, None])
