@@ -314,7 +314,7 @@ class Recorder:
         except WriteFailedError as error:
             was_end = self._end.is_set()
             self._wait_for_disk(error)  # events come first, then the request is repeated
-            if was_end and self._requests:  # which was that already, and leaves no room
+            while was_end and self._requests:  # there will be no room for it
                 self._requests.popleft()[1]()
         else:
             self._is_closed = is_closing and not self._events
