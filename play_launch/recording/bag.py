@@ -193,10 +193,10 @@ class BagWriter:
         ):
             self._rotate()
 
-    def has_room(self) -> bool:
-        """Whether it is worth while to flush again after that failed."""
+    def has_room(self, more: int = 0) -> bool:
+        """Whether so many bytes leave room for the events of some time."""
         try:
-            return self._file.has_room()
+            return self._file.has_room(more)
         except OSError:
             return False
 

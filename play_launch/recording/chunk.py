@@ -59,12 +59,19 @@ class TopicChunk(Struct, frozen=True):
         """How many messages are in it."""
         return sum(part.messages for part in self.parts)
 
-    def is_whole(self) -> bool:
-        """Whether its file is as long as it should be."""
+    def checked(self, channels: Collection[int], secrets: re.Pattern[bytes] | None) -> str:
+        """Mask secrets in some channels; return why it cannot be recorded, empty if it can."""
         try:
-            return os.fstat(self.descriptor).st_size >= self.length
-        except OSError:
-            return False
+            if os.fstat(self.descriptor).st_size < self.length:
+                return "its memory is too short"
+        except OSError as error:
+            return f"its memory cannot be read: {error}"
+        if secrets is not None:
+            try:
+                self._mask(channels, secrets)
+            except (OSError, ValueError, struct.error) as error:
+                return f"it may hold secrets: {error}"
+        return ""
 
     def messages_of(self, part: ChannelPart) -> Iterator[tuple[bytes, int]]:
         """Read data and publish time of the messages of a channel.
@@ -76,11 +83,10 @@ class TopicChunk(Struct, frozen=True):
             for begin, end, publish_time in _messages(data, part):
                 yield data[begin:end], publish_time
 
-    def mask(self, channels: Collection[int], secrets: re.Pattern[bytes]) -> None:
+    def _mask(self, channels: Collection[int], secrets: re.Pattern[bytes]) -> None:
         """Write asterisks over secrets in the messages of some channels; all lengths stay.
 
-        Raises:
-            OSError, ValueError, struct.error: When the chunk is not what it should be.
+        Raises OSError, ValueError or struct.error when the chunk is not what it should be.
         """
         parts = [part for part in self.parts if part.channel in channels]
         if not parts:

@@ -286,11 +286,11 @@ class McapFile:
         self._hold(summary + _encoded(Footer(start, at, checksum)) + MAGIC)
         self.commit()
 
-    def has_room(self) -> bool:
-        """Whether the disk has room for what is held back, and for some time after it."""
+    def has_room(self, more: int = 0) -> bool:
+        """Whether the disk has room for what is held back, ``more`` bytes, and some time after."""
         system = os.fstatvfs(self._descriptor)
         some_time = min(_ROOM, system.f_blocks * system.f_frsize // _SHARE)
-        return system.f_bavail * system.f_frsize >= self.size - self.committed + some_time
+        return system.f_bavail * system.f_frsize >= self.size - self.committed + more + some_time
 
     def sync(self) -> None:
         """Force to the disk what was committed, if the file is open; in any thread.

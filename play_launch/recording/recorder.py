@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import struct
 import threading
 import time
 from collections import Counter, deque
@@ -41,6 +40,8 @@ _HELD_NS: Final = 5_000_000_000
 """and for how long. One by one they would take three times the space."""
 _CHANNEL_LIMIT: Final = 65_000
 """Channels of topics: their numbers have 16 bits, and events need some."""
+_NO_ROOM: Final = "topics of ROS are not recorded: the disk of %s is nearly full; events still are"
+_ROOM_AGAIN: Final = "topics of ROS are recorded again: there is room on the disk of %s"
 _log = logging.getLogger(__name__)
 
 
@@ -71,6 +72,7 @@ class Recorder:
         """Channels of topics of ROS by name and type; 0 where the type is not installed."""
         self.secrets: re.Pattern[bytes] | None = None
         """They are masked in messages about parameters."""
+        self._topics_have_room = True
         self._lock = threading.RLock()  # its thread may take it twice: a destructor logs anywhere
         self._changed = threading.Condition(self._lock)
         self._events: list[tuple[int, RunEvent]] = []
@@ -424,20 +426,18 @@ class Recorder:
         return self._topic_channels[key]
 
     def _can_be_recorded(self, chunk: TopicChunk) -> bool:
-        if not chunk.is_whole():
-            _log.error("dropped %d messages: their memory cannot be read", chunk.messages)
+        """Whether it is what it should be, and leaves room for events on the disk."""
+        changes = (topics.PARAMETERS, topics.PARAMETER_EVENTS)
+        masked = {self._topic_channels.get((each.name, each.type_name), 0) for each in changes}
+        if problem := chunk.checked(masked - {0}, self.secrets):
+            _log.error("dropped %d messages of topics: %s", chunk.messages, problem)
             return False
-        if self.secrets is not None:
-            masked = {
-                self._topic_channels.get((topic.name, topic.type_name), 0)
-                for topic in (topics.PARAMETERS, topics.PARAMETER_EVENTS)
-            }
-            try:
-                chunk.mask(masked - {0}, self.secrets)
-            except (OSError, ValueError, struct.error) as error:
-                _log.warning("a chunk may hold secrets and is not recorded: %s", error)
-                return False
-        return True
+        # To begin again it takes more, so that it is not reported again and again.
+        has_room = self._bag.has_room(chunk.length * (1 if self._topics_have_room else 4))
+        if has_room != self._topics_have_room:
+            self._topics_have_room = has_room
+            _log.warning(_ROOM_AGAIN if has_room else _NO_ROOM, self._bag.path.parent)
+        return has_room
 
     def _stop(self, error: str) -> None:
         self.error = error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import queue
 from typing import TYPE_CHECKING
 
 import pytest
@@ -16,6 +17,7 @@ from play_launch.recording.topics import LOG_ALL, OUTPUT
 from play_launch.supervisor.events import LogRecord, OutputLine, Stream
 from tests.recording.reading import messages, raw_messages
 from tests.recording.test_opening import description
+from tests.recording.test_topic_chunks import chunk_of
 from tests.support.mounts import disk_of
 
 if TYPE_CHECKING:
@@ -79,6 +81,36 @@ def test_the_run_goes_on_and_what_was_written_stays(small_disk: Path) -> None:
     reader = BagReader(summary.path)
     assert sum(1 for _ in reader.messages()) == len(readable)
     assert reader.damages == [], "it ends after a whole chunk"
+
+
+def test_topics_leave_room_for_events(small_disk: Path) -> None:
+    session = open_session(description(), log_folder=small_disk, limits=LIMITS)
+    recorder = session.recorder
+    answered = queue.SimpleQueue[int]()
+    recorder.open_channel("/one", "std_msgs/msg/String", "", answered.put)
+    channel = answered.get(timeout=10)
+    ballast = small_disk / "ballast"
+    ballast.write_bytes(bytes(SIZE // 2))
+
+    def record(count: int) -> None:
+        done = queue.SimpleQueue[None]()
+        for number in range(count):
+            chunk = chunk_of([(channel, number + 1, bytes(20_000))])
+            recorder.append_chunk(chunk, lambda: done.put(None))
+        for _ in range(count):
+            done.get(timeout=10)
+
+    record(40)
+    lost = recorder.topic_drops
+    assert 0 < lost < 40
+    publish(session, 0, 10)
+    ballast.unlink()
+    record(3)
+    summary = recorder.close()
+    assert (summary.error, summary.interruptions, summary.dropped) == ("", 0, 0)
+    assert (summary.topic_drops, recorder.topic_messages) == (lost, 43 - lost)
+    stamps = [each.publish_time for each in BagReader(session.folder).messages({OUTPUT.name})]
+    assert stamps == list(range(10))
 
 
 @pytest.mark.parametrize("rotate", [RotateConfig(), RotateConfig(size=100_000)])

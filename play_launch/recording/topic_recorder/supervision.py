@@ -103,6 +103,7 @@ class TopicRecording:
         number = next(self._numbers)
         awaited: asyncio.Future[WrittenBuffer] = asyncio.get_running_loop().create_future()
         self._awaited[number] = awaited
+        drops = self._recorder.topic_drops
         self._link.send(wire.packet(wire.Kind.TAKE, number))
         try:
             async with asyncio.timeout(_LONGEST_SNAPSHOT):
@@ -111,6 +112,8 @@ class TopicRecording:
             raise SnapshotError("what is held was not written in time") from None
         finally:
             del self._awaited[number]
+        if lost := self._recorder.topic_drops - drops:
+            raise SnapshotError(f"{lost} messages of topics were dropped meanwhile; see the log")
         if snapshot.messages:
             _log.info(
                 "%s: recorded %d messages (%.1f MB) of the %.1f s before",
