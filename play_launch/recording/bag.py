@@ -31,6 +31,8 @@ _ROTATION_RETRY: Final = 10.0
 """Seconds until the next file is tried again."""
 _UNFLUSHED_LIMIT: Final = 64 * 1024
 """Bytes of whole chunks that wait for a flush, at most: a full chunk is flushed at once."""
+_LONG: Final = 4
+"""Times the room after which a full disk is tried again: topics and further files leave it."""
 _LATCHED_LIMIT: Final = 100
 _LATCHED_SIZE_LIMIT: Final = 1024 * 1024
 """Messages of a latched topic that are repeated, and their bytes; the latest is in any case."""
@@ -189,14 +191,21 @@ class BagWriter:
                 file.committed >= self._rotation.size or now - file.begun >= self._rotation.duration
             )
             and now >= self._not_before
-            and self.has_room()
+            and self.leaves_room()
         ):
             self._rotate()
 
-    def has_room(self, more: int = 0) -> bool:
-        """Whether so many bytes leave room for the events of some time."""
+    def has_room(self) -> bool:
+        """Whether it is worth while to flush again after that failed."""
+        return self._has_room(0, 1)
+
+    def leaves_room(self, more: int = 0) -> bool:
+        """Whether events have room for a long time after so many bytes, or another file."""
+        return self._has_room(more, _LONG)
+
+    def _has_room(self, more: int, times: int) -> bool:
         try:
-            return self._file.has_room(more)
+            return self._file.has_room(more, times)
         except OSError:
             return False
 

@@ -59,9 +59,9 @@ _SUMMARY: Final = (
 """Kinds of records in the summary, in their order."""
 _CHECKSUM: Final = 4
 """Bytes of a checksum, at the end of a footer."""
-_ROOM: Final = 16 * 1024 * 1024
+_ROOM: Final = 4 * 1024 * 1024
 """Bytes that have to be free before a file is tried again: with less it would soon fail again."""
-_SHARE: Final = 20
+_SHARE: Final = 80
 """On a small file system this part of it is enough."""
 
 
@@ -286,11 +286,12 @@ class McapFile:
         self._hold(summary + _encoded(Footer(start, at, checksum)) + MAGIC)
         self.commit()
 
-    def has_room(self, more: int = 0) -> bool:
-        """Whether the disk has room for what is held back, ``more`` bytes, and some time after."""
+    def has_room(self, more: int = 0, times: int = 1) -> bool:
+        """Whether the disk has room for what is held back, more bytes, and some time after it."""
         system = os.fstatvfs(self._descriptor)
         some_time = min(_ROOM, system.f_blocks * system.f_frsize // _SHARE)
-        return system.f_bavail * system.f_frsize >= self.size - self.committed + more + some_time
+        needed = self.size - self.committed + more + times * some_time
+        return system.f_bavail * system.f_frsize >= needed
 
     def sync(self) -> None:
         """Force to the disk what was committed, if the file is open; in any thread.

@@ -433,7 +433,7 @@ class Recorder:
             _log.error("dropped %d messages of topics: %s", chunk.messages, problem)
             return False
         # To begin again it takes more, so that it is not reported again and again.
-        has_room = self._bag.has_room(chunk.length * (1 if self._topics_have_room else 4))
+        has_room = self._bag.leaves_room(chunk.length * (1 if self._topics_have_room else 4))
         if has_room != self._topics_have_room:
             self._topics_have_room = has_room
             _log.warning(_ROOM_AGAIN if has_room else _NO_ROOM, self._bag.path.parent)
