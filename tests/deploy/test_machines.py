@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from play_launch.deploy.machines.namespaces import missing
@@ -60,6 +61,29 @@ def test_one_view_and_one_end_of_three_machines(net: Hosts, tmp_path: Path) -> N
         assert events.index(("h3", "stopping")) < events.index(("h2", "stopping"))
     assert not supervisors(net, 2)
     assert not supervisors(net, 3)
+
+
+def test_a_page_shows_all_machines(net: Hosts, tmp_path: Path) -> None:
+    get = "import sys, urllib.request as r; print(r.urlopen(sys.argv[1]).read().decode())"
+    with running(net, system(tmp_path, "paged", more="web: {port: 0}\n")) as paged:
+        paged.loaded()
+
+        def lines() -> list[dict[str, Any]]:
+            return [each for each in paged.events() if each.get("process") == "page"]
+
+        until(lambda: bool(lines()), "the address of the page")
+        (line,) = lines()
+        url = f"{line['text'].split()[0]}metrics"
+        command = net.command(sys.executable, "-c", get, url)
+
+        def metrics() -> str:
+            return subprocess.run(command, capture_output=True, text=True, check=False).stdout
+
+        until(lambda: 'machine="h3",play_launch_unit_state="up"' in metrics(), "h3 on the page")
+        assert 'kind="component",machine="h2",unit="/talk:/talker"' in metrics()
+        assert "play_launch_session_start_seconds" in metrics()
+        paged.stop()
+        assert not psutil.pid_exists(line["pid"])
 
 
 def test_a_cut_loses_no_line_and_stops_nothing(net: Hosts, tmp_path: Path) -> None:
