@@ -182,7 +182,7 @@ def test_a_node_for_which_no_thread_can_be_had_fails_to_load_and_the_next_one_do
 def test_readers_that_join_a_stream_of_large_messages_read_on(
     spawn: StartContainer, arguments: tuple[str, ...]
 ) -> None:
-    """Fast DDS 2.14 hangs where it keeps a sample that it has dropped, see fastdds/waits.hpp."""
+    """Fast DDS hangs where it keeps a sample that it has dropped, see fastdds/waits.hpp."""
     for number in range(2):
         other = spawn("--isolated")
         other.loaded("ImageSource", node_name=f"far{number}", parameters={"rate": 30.0})

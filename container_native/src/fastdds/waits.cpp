@@ -179,11 +179,14 @@ constexpr std::array<std::uint32_t, 2> kFunction{R_X86_64_JUMP_SLOT, R_X86_64_GL
 constexpr std::array<std::uint32_t, 2> kFunction{R_AARCH64_JUMP_SLOT, R_AARCH64_GLOB_DAT};
 #endif
 
-// Of eprosima::fastdds::dds::detail::DataReaderHistory in version 2.14; found when calls are
-// replaced.
-constexpr std::string_view kRemoveSample =
-    "_ZN8eprosima7fastdds3dds6detail17DataReaderHistory17remove_change_subEPNS_8fastrtps4rtps13"
-    "CacheChange_tERN9__gnu_cxx17__normal_iteratorIPS7_St6vectorIS7_SaIS7_EEEE";
+// Of eprosima::fastdds::dds::detail::DataReaderHistory; found when calls are replaced. Versions
+// 2.14 and 3.2 name the namespace of its arguments differently.
+constexpr std::string_view kRemove =
+    "_ZN8eprosima7fastdds3dds6detail17DataReaderHistory17remove_change_subE";
+constexpr std::string_view kAtPlace = "CacheChange_tERN9__gnu_cxx17__normal_iterator";
+bool is_remove_sample(std::string_view name) noexcept {
+  return name.starts_with(kRemove) && name.find(kAtPlace) != std::string_view::npos;
+}
 constexpr std::string_view kFindInstance =
     "_ZN8eprosima7fastdds3dds6detail17DataReaderHistory8find_key";
 std::atomic<bool (*)(void*, void*, void***)> next_remove_sample{nullptr};
@@ -199,7 +202,7 @@ bool read_safely(std::uintptr_t address, void* target, std::size_t size) noexcep
 /// Takes an element out of the list of samples of a topic without keys; false: where that list is
 /// could not be verified.
 bool erase(void* history, void** element) {
-  // As in version 2.14 with libstdc++; a list elsewhere does not hold the element.
+  // As in versions 2.14 and 3.2 with libstdc++; a list elsewhere does not hold the element.
   constexpr std::array<char, 32> kNoKey{};
   constexpr std::uintptr_t kInstanceInNode = 0x38;
   constexpr std::uintptr_t kListInInstance = 0x20;
@@ -233,7 +236,7 @@ bool remove_sample(void* history, void* sample, void*** place) {
 
 /// What stands instead of a function of that name; 0: nothing.
 std::uintptr_t replacement(std::string_view name) noexcept {
-  if (name == kRemoveSample && next_remove_sample.load() != nullptr) {
+  if (next_remove_sample.load() != nullptr && is_remove_sample(name)) {
     return reinterpret_cast<std::uintptr_t>(&remove_sample);
   }
   if (name == "pthread_cond_timedwait") {
@@ -255,7 +258,7 @@ std::uintptr_t replacement(std::string_view name) noexcept {
 }
 
 void note_original(std::string_view name, std::uintptr_t address) noexcept {
-  if (address != 0 && name == kRemoveSample) {
+  if (address != 0 && is_remove_sample(name)) {
     next_remove_sample = reinterpret_cast<bool (*)(void*, void*, void***)>(address);
   } else if (address != 0 && name.starts_with(kFindInstance)) {
     find_instance = reinterpret_cast<bool (*)(void*, const void*, void*)>(address);

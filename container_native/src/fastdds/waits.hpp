@@ -35,8 +35,8 @@ int timedwait(pthread_cond_t* condition, pthread_mutex_t* mutex, const timespec*
 int timedlock(pthread_mutex_t* mutex, const timespec* deadline) noexcept;
 int unlock(pthread_mutex_t* mutex) noexcept;
 
-/// Besides, where calls are replaced: DataReaderHistory::remove_change_sub() of version 2.14 that
-/// goes on behind a sample which it cannot remove.
+/// Besides, where calls are replaced: DataReaderHistory::remove_change_sub() of versions 2.14 and
+/// 3.2 that goes on behind a sample which it cannot remove.
 ///
 /// With large messages from several writers a reader's list of samples may keep one that is back in
 /// the pool already, and empty. DataReader::take() cannot read it, cannot remove it, as it is not
