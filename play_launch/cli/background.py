@@ -192,7 +192,7 @@ class Background(Struct):
 
     async def _show_page(self) -> None:
         if self.config.web is not None:
-            await self.operable
+            await asyncio.wait({self.operable})  # which is of others, too: not to be cancelled
             await self._system_is_up()
             from play_launch.cli.web import run_page  # noqa: PLC0415
 

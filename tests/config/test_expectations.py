@@ -54,6 +54,7 @@ containers:
           /tf: {min_rate: 5, machine: main}
 nodes:
   - {name: planner, command: [x], depends_on: [{expect: /cloud}], expect: {path: {min_rate: 4}}}
+  - {command: [y], remappings: {~/in: a, out: b}, expect: {out: {min_rate: 3}}}
 """)
     assert {(each.topic, each.machine, each.min_rate) for each in config.expect.values()} == {
         ("/cloud", "vision", 9),
@@ -62,6 +63,7 @@ nodes:
         ("/front/lidar/raw", "vision", 6),
         ("/tf", "main", 5),
         ("/path", "main", 4),
+        ("/b", "main", 3),
     }
 
 

@@ -51,7 +51,8 @@ class Expectations:
             try:
                 topic = _expanded(check_topic(entry.key), namespace, node)
                 for source, target in remappings:
-                    if _expanded(source, namespace, node) == topic:
+                    private = source.startswith("~") and node is None
+                    if not private and _expanded(source, namespace, node) == topic:
                         topic = _expanded(target, namespace, node)
                         break
             except ValueError as error:

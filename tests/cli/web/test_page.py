@@ -278,6 +278,16 @@ def test_a_page_belongs_to_a_system(tmp_path: Path) -> None:
         assert secret.encode() not in replay.bag.read_bytes()
 
 
+def test_a_system_that_ends_at_once_needs_no_page(tmp_path: Path) -> None:
+    config = tmp_path / "brief.yaml"
+    config.write_text(
+        "version: 1\nweb: {port: 0}\nnodes: [{command: [sleep, '0.2'], on_exit: shutdown}]\n"
+    )
+    done = run("replay", config, "--log-dir", tmp_path / "log", code=0)
+    assert "the session can no longer be controlled" not in done.stdout + done.stderr
+    assert "page" not in done.stdout
+
+
 def test_the_demo_has_a_page(tmp_path: Path) -> None:
     words = ("demo", "--web", "--seconds", "18", "--json", "--log-dir", str(tmp_path))
     events = [json.loads(line) for line in run(*words).stdout.splitlines()]
