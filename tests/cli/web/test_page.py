@@ -278,6 +278,15 @@ def test_a_page_belongs_to_a_system(tmp_path: Path) -> None:
         assert secret.encode() not in replay.bag.read_bytes()
 
 
+def test_a_page_ends_with_a_supervisor_that_is_killed(tmp_path: Path) -> None:
+    config = tmp_path / "brief.yaml"
+    config.write_text("version: 1\nweb: {port: 0}\nnodes: [{command: [sleep, '1000']}]\n")
+    with replaying(config, tmp_path / "log") as replay:
+        page = psutil.Process(replay.until(event="output", process="page")["pid"])
+        replay.process.kill()
+        until(lambda: not page.is_running(), "the end of the page")
+
+
 def test_a_system_that_ends_at_once_needs_no_page(tmp_path: Path) -> None:
     config = tmp_path / "brief.yaml"
     config.write_text(
