@@ -250,13 +250,20 @@ def stop_daemon(address: DaemonAddress) -> PortOwner:
     _request_end(address, owner)
     deadline = time.monotonic() + STOP_TIMEOUT
     process = _process(owner.pid)
-    while find_owner(address).kind is not OwnerKind.FREE or (process and process.is_running()):
-        if process and process.is_running() and process.status() == psutil.STATUS_ZOMBIE:
-            break
+    while find_owner(address).kind is not OwnerKind.FREE or _lives(process):
         if time.monotonic() > deadline:
             raise PortHeldError(f"{owner} did not end within {STOP_TIMEOUT:g} s")
         time.sleep(_POLL)
     return owner
+
+
+def _lives(process: psutil.Process | None) -> bool:
+    try:
+        if process is None or not process.is_running():
+            return False
+        return process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
 
 
 def _request_end(address: DaemonAddress, owner: PortOwner) -> None:

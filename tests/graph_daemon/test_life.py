@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
 from play_launch.graph_daemon import port
@@ -72,6 +73,20 @@ def test_it_is_detached_from_its_starter(address: DaemonAddress, tmp_path: Path)
         log_path(address),
     ]
     stop_daemon(address)
+    gone(started)
+
+
+def test_it_may_be_gone_while_it_is_looked_at(
+    address: DaemonAddress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = start_daemon(address, wait_for=LISTENING)
+
+    def status(process: psutil.Process) -> str:
+        raise psutil.NoSuchProcess(process.pid)
+
+    monkeypatch.setattr(psutil.Process, "status", status)
+    stop_daemon(address)
+    monkeypatch.undo()
     gone(started)
 
 
