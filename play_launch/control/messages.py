@@ -154,7 +154,7 @@ class UnitRow(Struct, frozen=True, kw_only=True):
     crashes: int
     """crashes of a component, or of all components of a container"""
     causes: dict[str, int] = {}
-    """how often it ended by itself, by cause: `signal`, `exception`, `exit status`, `unknown status`, `out of memory`, `frozen`, `channel failed`, `node left lock`, `container exited`"""  # noqa: E501 - a cell of a table
+    """how often it ended unrequested, by cause: `signal`, `exception`, `exit status`, `unknown status`, `out of memory`, `frozen`, `channel failed`, `node left lock`, `container exited`"""  # noqa: E501 - a cell of a table
     cpu_percent: float | None
     """of one core, in the last second; null without a process of its own, without sampling (`record.sampling`), or just after a start"""  # noqa: E501
     memory_bytes: int | None

@@ -1,4 +1,4 @@
-"""Programs beside a system: started again within limits; what becomes of them changes nothing."""
+"""Programs beside a system: started again within limits; their end changes nothing else."""
 
 from __future__ import annotations
 

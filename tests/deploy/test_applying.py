@@ -110,7 +110,7 @@ def test_a_machine_has_packages_and_variables_of_its_own(net: Hosts, tmp_path: P
     program.write_text('#!/bin/sh\necho "hello $GREETING $1 $2"; exec sleep 1000\n')
     program.chmod(0o755)
     setup = tmp_path / "setup.bash"
-    setup.write_text(f"export AMENT_PREFIX_PATH={tmp_path}/there:$AMENT_PREFIX_PATH WHO=robot\n")
+    setup.write_text(f"export AMENT_PREFIX_PATH={tmp_path}/there:$AMENT_PREFIX_PATH TITLE=robot\n")
     config = system(tmp_path, "own", h3=f", setup: [{setup}]")
     config.write_text(f"""{config.read_text()}\
   - name: hello
@@ -119,7 +119,7 @@ def test_a_machine_has_packages_and_variables_of_its_own(net: Hosts, tmp_path: P
     executable: hello
     arguments: [$(find-pkg-share only_there), first]
     parameters: [$(find-pkg-share only_there)/hello.yaml]
-    environment: {{GREETING: "${{env:WHO:-nobody}}"}}
+    environment: {{GREETING: "${{env:TITLE:-none}}"}}
 """)
     assert "h3: 1 container with 1 node, 2 processes" in net.run("check", str(config)).stdout
     assert net.run("check", "--machine", "main", str(config)).returncode == 0

@@ -84,7 +84,7 @@ class _Families:
             yield gauge
         failures = CounterMetricFamily(
             "play_launch_unit_failures",
-            "How often a unit ended by itself, by cause.",
+            "How often a unit ended unrequested, by cause.",
             labels=(*_LABELS, "cause"),
         )
         for row in self._scrape.rows:

@@ -75,7 +75,8 @@ class Placement:
         self, at_document: Cursor, machines: dict[str, MachineConfig], default: str | None
     ) -> None:
         self._machines = machines
-        self._default = next((name for name, each in machines.items() if each.local), "")
+        self._local = next((name for name, each in machines.items() if each.local), "")
+        self._default = self._local
         if default is not None and self._known(default, at_document.at_key("machine")):
             self._default = default
 
@@ -97,10 +98,9 @@ class Placement:
 
     def is_elsewhere(self, at: Cursor, machine: str) -> bool:
         """Whether an entry is of another machine than that one; without a name, than the local."""
-        local = next((name for name, each in self._machines.items() if each.local), "")
         named = at.value("machine")
         place = self._default if named is None else named.string
-        return place in self._machines and place != (machine or local)
+        return place in self._machines and place != (machine or self._local)
 
     def _known(self, machine: str, at: Cursor) -> bool:
         if machine in self._machines:

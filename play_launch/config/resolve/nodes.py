@@ -145,7 +145,7 @@ class SharedContext(Struct, frozen=True):
     placement: Placement
     expected: Expectations
     machine: str = ""
-    """That the nodes of a container run on."""
+    """Where what is being read runs."""
 
 
 def _own(section: ConfigSection, config: type[Struct], at: Cursor) -> dict[str, Any]:
@@ -292,6 +292,7 @@ def resolve_process(at: Cursor, shared: SharedContext) -> ProcessConfig | None:
         return None
     machine = shared.placement.place(at, section.machine)
     variables = {**shared.placement.environment(machine), **variables}
+    shared = replace(shared, machine=machine)
     program = section.executable or (section.command[0] if section.command else "")
     program = program.rpartition("/")[2]
     full_name = given_name or shared.names.label("", section.namespace or "", program)
@@ -309,7 +310,7 @@ def resolve_process(at: Cursor, shared: SharedContext) -> ProcessConfig | None:
         at.at_key("restart").problem("only read with on_exit: restart; add that")
     shared.start_rules.declare(full_name, at, section.start_delay)
     shared.start_rules.declare_managed(full_name, given_name, at, section)
-    _expect(at, replace(shared, machine=machine), section, given_name, config.remappings)
+    _expect(at, shared, section, given_name, config.remappings)
     return config
 
 

@@ -13,6 +13,8 @@ import psutil
 import pytest
 from std_msgs.msg import String
 
+from play_launch.recording.bag import BagWriter
+from play_launch.recording.topic_recorder import SnapshotError
 from play_launch.ros.fastdds.shared_memory import sweep
 from tests.recording.reading import messages, raw_messages
 from tests.recording.topic_recorder.recording import (
@@ -78,6 +80,21 @@ async def test_only_a_snapshot_writes_what_is_held(probe: Probe, tmp_path: Path)
     assert 0.3 < first.seconds < 20
     texts = [each.message.data for each in messages(path) if each.topic == "/held"]
     assert texts == ["before"] * first.messages
+
+
+@pytest.mark.anyio
+async def test_a_snapshot_for_which_there_is_no_room_fails(
+    probe: Probe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(BagWriter, "leaves_room", lambda _bag, _more=0: False)
+    held = probe.node.create_publisher(String, "/held", 100)
+    async with recording(tmp_path / "x.mcap", HELD) as made:
+        await until(lambda: held.get_subscription_count() > 0, "its subscription")
+        for _ in range(50):
+            await publish_all(held, [String(data="before")], 0.02)
+        with pytest.raises(SnapshotError, match="messages of topics were dropped"):
+            await made.topics.take("test")
+        assert made.recorder.topic_messages == 0
 
 
 @pytest.mark.anyio
