@@ -87,7 +87,10 @@ class UnitSection(ConfigSection):
         kinds.DURATION, "Duration to wait once everything is there that it depends on.", "500 ms"
     )
     log_level = optional(
-        kinds.LOG_LEVEL, "Logging severity: debug, info, warn, error or fatal.", "warn"
+        kinds.LOG_LEVEL,
+        "Logging severity: debug, info, warn, error or fatal. By default that of the container, "
+        "else ROS's own.",
+        "warn",
     )
     resources = nested(
         ResourcesSection,
@@ -102,7 +105,8 @@ class NodeSection(ConfigSection):
 
     autostart = optional(
         kinds.choice(Autostart),
-        "How far a managed (lifecycle) node is brought: configure or activate.",
+        "How far a managed (lifecycle) node is brought: configure or activate. By default it is "
+        "left alone.",
         "activate",
     )
     transition_timeout = optional(
@@ -151,7 +155,8 @@ class MemberSection(UnitSection):
     )
     cwd = optional(
         kinds.FILLED_TEXT,
-        "Working directory; a relative path starts at the folder of this file.",
+        "Working directory; a relative path starts at the folder of this file. By default that of "
+        "play-launch.",
         "data",
     )
     output = optional(
@@ -161,7 +166,7 @@ class MemberSection(UnitSection):
     )
     environment = raw(
         _VARIABLES,
-        "Environment variables, names to strings.",
+        "Environment variables, names to strings, over those at the top.",
         {"ROS_DOMAIN_ID": "5", "RCUTILS_COLORIZED_OUTPUT": "1"},
     )
     ros_arguments = optional(
@@ -177,7 +182,8 @@ class CrashSection(ConfigSection):
     )
     on_crash = optional(
         kinds.choice(OnCrash),
-        "Reaction when an isolated node crashes alone: reload, ignore, stop_container or shutdown.",
+        "Reaction when an isolated node crashes alone: reload, ignore, stop_container or shutdown. "
+        "By default reload.",
         "reload",
     )
     restart = nested(
@@ -194,27 +200,32 @@ class ContainersSection(CrashSection):
         kinds.choice(ContainerType),
         "standard: all nodes in one process, one thread. mt: several threads. isolated, "
         "isolated_mt: each node a process of its own in shared memory. stock: another program with "
-        "ROS's composition services.",
+        "ROS's composition services. By default standard.",
         "isolated",
     )
     thread_num = optional(
-        kinds.THREADS, "Threads of the executor, 1 to 1024; for mt and isolated_mt.", 4
+        kinds.THREADS,
+        "Threads of the executor, 1 to 1024; for mt and isolated_mt, there of each node.",
+        4,
     )
     isolation = optional(
         kinds.choice(Isolation),
-        "How isolated nodes become processes: auto, shared_memory or process.",
+        "How isolated nodes become processes: auto, shared_memory or process. By default auto.",
         "auto",
     )
     memory_domains = optional(
         kinds.choice(MemoryDomains),
         "Whether what isolated nodes have in play_launch::private_memory() is protected from their "
-        "neighbours: off, auto (as far as the machine can) or required.",
+        "neighbours: off, auto (as far as the machine can) or required. By default off.",
         "auto",
     )
-    core_dumps = optional(kinds.BOOLEAN, "Whether isolated nodes that crash dump core.", True)
+    core_dumps = optional(
+        kinds.BOOLEAN, "Whether isolated nodes that crash dump core. By default false.", True
+    )
     consolidate = optional(
         kinds.BOOLEAN,
-        "Whether isolated containers whose processes would be alike have one together.",
+        "Whether isolated containers whose processes would be alike have one together. By default "
+        "false.",
         True,
     )
     loading_timeout = optional(
@@ -284,7 +295,9 @@ class ContainerSection(MemberSection, ContainersSection):
         kinds.list_of(kinds.TEXT), "Strings for the program of a stock container.", ["--verbose"]
     )
     attach = optional(
-        kinds.BOOLEAN, "Whether to attach to a stock container that is already running.", True
+        kinds.BOOLEAN,
+        "Whether to attach to a stock container that is already running. By default false.",
+        True,
     )
     on_exit = optional(
         kinds.choice(OnExit),
@@ -348,7 +361,8 @@ class DocumentSection(ConfigSection):
     )
     graph_daemon = optional(
         kinds.BOOLEAN,
-        "Whether the graph daemon runs beside the nodes, and what it sees is recorded.",
+        "Whether the graph daemon runs beside the nodes, and what it sees is recorded. By default "
+        "false.",
         True,
     )
     web = nested(WebSection, "The page that runs beside the system.", {"port": 8081})

@@ -131,7 +131,7 @@ class RecordSection(ConfigSection):
 
     sync = optional(
         kinds.POSITIVE_DURATION_OR_NEVER,
-        "Duration after which what was recorded is forced to the disk, or never.",
+        "Duration after which what was recorded is forced to the disk, or never. By default 1 s.",
         "1 s",
         "never",
     )
@@ -147,10 +147,15 @@ class RecordSection(ConfigSection):
         ["/tf", "/lidar/*"],
     )
     exclude = optional(
-        kinds.list_of(kinds.TOPIC_PATTERN), "Topics that are not recorded.", ["*/compressed"]
+        kinds.list_of(kinds.TOPIC_PATTERN),
+        "Topics that are not recorded; /play_launch/parameters is for those of nodes.",
+        ["*/compressed"],
     )
     budget = optional(
-        kinds.BUDGET, "Size that is recorded of each topic in a second at most.", "50 MB"
+        kinds.BUDGET,
+        "Size that is recorded of each topic in a second at most, or a mapping from topics to "
+        "sizes. By default unlimited.",
+        "50 MB",
     )
     before_crash = nested(
         BeforeCrashSection,
@@ -166,7 +171,9 @@ class ExpectationSection(ConfigSection):
     min_rate = optional(kinds.RATE, "Least messages per second, of all publishers.", "8 Hz")
     max_rate = optional(kinds.RATE, "Most messages per second, of all publishers.", "12 Hz")
     max_gap = optional(kinds.POSITIVE_DURATION, "Longest duration between two messages.", "500 ms")
-    publishers = optional(kinds.integer(0, 1000), "Number of its publishers.", 1)
+    publishers = optional(
+        kinds.integer(0, 1000), "Number of its publishers. By default at least 1.", 1
+    )
     reliability = optional(
         kinds.choice(Reliability),
         "What each publisher offers: reliable or best_effort.",

@@ -2,7 +2,7 @@
 
 The session checks requests with these types, limits included, and writes results from them. A
 client reads plain JSON: importing msgspec takes longer than its work. The tables of docs/control.md
-are made from the docstrings by ``python -m tests.control.reference``.
+are made from the docstrings by ``python -m tests.support.doc_tables``.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from play_launch.control.messages import (
     read_request,
 )
 from play_launch.control.protocol import PROTOCOL, Code, OperationError, decode, encode
-from tests.control.reference import DOCUMENTS, with_tables
+from tests.support.doc_tables import DOCUMENTS, with_tables
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
@@ -104,4 +104,4 @@ def test_an_error_is_read_whatever_it_holds(found: Any) -> None:
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_the_tables_of_the_documentation_are_those_of_the_messages(document: Any) -> None:
     text = document.read_text(encoding="utf-8")
-    assert with_tables(text) == text, "run python -m tests.control.reference"
+    assert with_tables(text) == text, "run python -m tests.support.doc_tables"
