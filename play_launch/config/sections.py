@@ -195,7 +195,9 @@ class WebSection(ConfigSection):
     """`web`: the page that runs beside the system; see `play-launch web --help`."""
 
     bind = optional(
-        kinds.ADDRESS, "Address to listen on. Any other than 127.0.0.1 demands tokens.", "192.0.2.7"
+        kinds.ADDRESS,
+        "Address to listen on. By default 127.0.0.1; any other demands tokens.",
+        "192.0.2.7",
     )
     port = optional(kinds.integer(0, 65535), "Its port; 0 takes a free one. By default 8080.", 80)
     allow_control = optional(
@@ -226,7 +228,7 @@ class MachineSection(ConfigSection):
 
     local = optional(
         kinds.BOOLEAN,
-        "Whether it is the machine on which replay is called. By default false.",
+        "Whether it is the machine on which replay is called; at most one. By default false.",
         True,
     )
     ssh = optional(
@@ -234,7 +236,7 @@ class MachineSection(ConfigSection):
     )
     setup = optional(
         kinds.list_of(kinds.FILLED_TEXT),
-        "Files that bash sources there first, in this order.",
+        "Files that bash sources there first, in this order; a login's .bashrc is not read.",
         ["/opt/ros/jazzy/setup.bash", "~/ws/install/setup.bash"],
     )
     play_launch = optional(
@@ -244,7 +246,7 @@ class MachineSection(ConfigSection):
     )
     environment = raw(
         kinds.mapping_form(kinds.STRING_FORM),
-        "Environment variables of its part, names to strings.",
+        "Environment variables of its part, names to strings, over those at the top.",
         {"ROS_DOMAIN_ID": "5"},
     )
     service = optional(
@@ -261,7 +263,11 @@ class MachineSection(ConfigSection):
         "Duration of silence after which the connection counts as lost. By default 4 s.",
         "4 s",
     )
-    on_lost = nested(OnLostSection, "What it does without the coordinator.", {"stop_after": "30 s"})
+    on_lost = nested(
+        OnLostSection,
+        "After which silence of the coordinator it stops (stop_after). By default it continues.",
+        {"stop_after": "30 s"},
+    )
     copy = optional(
         kinds.list_of(kinds.FILLED_TEXT),
         "Files and folders to copy there, beside the configuration, from whose folder relative "
