@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import shutil
 import time
 from collections import Counter
 from pathlib import Path
@@ -108,21 +107,15 @@ async def _fetch(recorded: Sequence[Mapping[str, Any]], places: Sequence[Path]) 
     async def fetch(about: Mapping[str, Any], place: Path) -> None:
         name = about["machine"]
         machine = MachineConfig(name=name, local=about["local"], ssh=about["ssh"])
-        half = place.with_name(f".{place.name}")
         try:
             host = await connect(machine)
             try:
-                await host.get(about["folder"], half, _noted_now_and_then(name))
+                await host.get(about["folder"], place, _noted_now_and_then(name))
             finally:
                 host.close()
-            # What was completed from an earlier, shorter copy must not stay.
-            await asyncio.to_thread(shutil.rmtree, place, ignore_errors=True)
-            half.rename(place)
         except (HostError, LinkLost, OSError) as error:
             warn(f"{name}: its recording cannot be fetched: {error}")
             missing.add(name)
-        finally:
-            await asyncio.to_thread(shutil.rmtree, half, ignore_errors=True)
 
     async with asyncio.TaskGroup() as tasks:
         for about, place in zip(recorded, places, strict=True):

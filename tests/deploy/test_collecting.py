@@ -60,12 +60,24 @@ def test_the_recordings_of_all_machines_become_one(net: Hosts, tmp_path: Path) -
     assert "the decisions of several machines; rerun the recording of one" in again.stdout
     (part,) = (folder / "h2").iterdir()
     assert "as recorded" in net.run("rerun", str(part)).stdout
+    interrupted_collecting_goes_on(net, part)
     with make_reader_of(folder / "all-machines.mcap") as reader:
         times = [message.log_time for _, _, message in reader.iter_messages(log_time_order=False)]
         assert times == sorted(times)
         data = [message.data for _, _, message in reader.iter_messages()]
         assert any(b"tick 2" in each for each in data)
         assert any(b"Hello World" in each for each in data)
+
+
+def interrupted_collecting_goes_on(net: Hosts, part: Path) -> None:
+    files = {each: each.read_bytes() for each in part.iterdir()}
+    kept, lost = part / "session.mcap", part / "metadata.yaml"
+    before = kept.stat().st_ino
+    lost.rename(part / f".{lost.name}")  # as far as it had come
+    (part / "session_1.mcap").touch()  # of an earlier, shorter copy
+    net.run("collect", code=0)
+    assert {each: each.read_bytes() for each in part.iterdir()} == files
+    assert kept.stat().st_ino == before, "it was fetched again"
 
 
 SHIFTED_CLOCK = """\

@@ -11,6 +11,7 @@ import contextlib
 import os
 import shlex
 import socket
+import stat
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 from play_launch import UserError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from play_launch.config.machines import MachineConfig
 
@@ -90,7 +91,10 @@ class Host(Protocol):
         ...
 
     async def get(self, folder: str, target: Path, arrived: Arrived) -> None:
-        """Copy the files of a folder, and report how much of them has arrived now and then."""
+        """Make the files of `target` those of a folder, and report how much has arrived so far.
+
+        What an earlier call has copied is not copied again.
+        """
         ...
 
     async def open(self, path: str) -> tuple[Reader, Any]:
@@ -110,14 +114,40 @@ async def connect(machine: MachineConfig) -> Host:
     return LocalHost() if machine.local else await SshHost.connect(machine)
 
 
+def _missing_in(target: Path, files: Mapping[str, tuple[int, int]]) -> dict[str, int]:
+    """Remove the files of another name, and give the sizes of those that are missing or differ.
+
+    `files` are sizes and times of change, in seconds, by name.
+    """
+    target.mkdir(parents=True, exist_ok=True)
+    present = {}
+    for each in target.iterdir():
+        if each.name in files:
+            present[each.name] = _size_and_change(each)
+        elif not each.is_dir():
+            each.unlink()
+    return {name: known[0] for name, known in files.items() if present.get(name) != known}
+
+
+def _size_and_change(path: Path) -> tuple[int, int]:
+    found = path.stat()
+    return found.st_size, int(found.st_mtime)
+
+
+def _half(path: Path) -> Path:
+    """Where a file is until it is whole."""
+    return path.with_name(f".{path.name}")
+
+
 def _copy_files(folder: Path, target: Path) -> None:
     """Copy the files of a folder, and not its sockets."""
     import shutil  # noqa: PLC0415 - rarely needed
 
-    target.mkdir(parents=True, exist_ok=True)
-    for each in folder.iterdir():
-        if each.is_file():
-            shutil.copy2(each, target)
+    files = {each.name: _size_and_change(each) for each in folder.iterdir() if each.is_file()}
+    for name in _missing_in(target, files):
+        half = _half(target / name)
+        shutil.copy2(folder / name, half)
+        half.replace(target / name)
 
 
 def _marked(script: str) -> str:
@@ -239,18 +269,22 @@ class SshHost:
         return _output(status, found.stdout, found.stderr)
 
     async def get(self, folder: str, target: Path, arrived: Arrived) -> None:
-        await asyncio.to_thread(target.mkdir, parents=True, exist_ok=True)
         with self._losses():
             async with self._connection.start_sftp_client() as sftp:
-                sizes: dict[str, int] = {}
-                for name in await sftp.listdir(folder):
+                files = {
+                    each.filename: (each.attrs.size, each.attrs.mtime)
+                    for each in await sftp.readdir(folder)
                     # The other machine chooses the names.
-                    if name == Path(name).name and await sftp.isfile(f"{folder}/{name}"):
-                        sizes[name] = await sftp.getsize(f"{folder}/{name}") or 0
+                    if each.filename == Path(each.filename).name
+                    and stat.S_ISREG(each.attrs.permissions or 0)
+                }
+                sizes = await asyncio.to_thread(_missing_in, target, files)
                 before, total = 0, sum(sizes.values())
                 for name, size in sizes.items():
+                    half = _half(target / name)
                     done = partial(_add, arrived, before, total)
-                    await sftp.get(f"{folder}/{name}", target / name, progress_handler=done)
+                    await sftp.get(f"{folder}/{name}", half, preserve=True, progress_handler=done)
+                    await asyncio.to_thread(half.replace, target / name)
                     before += size
 
     async def open(self, path: str) -> tuple[Reader, Any]:
