@@ -16,12 +16,10 @@ from play_launch.config.text import listed
 from play_launch.control.messages import ActionResult, Results, SignalRequest
 from play_launch.control.protocol import (
     COMMAND_LIMIT,
-    MEMBER_ACTIONS,
-    NODE_ACTIONS,
     Code,
     OperationError,
 )
-from play_launch.control.units import chosen, full_name, guests_of, members_of, nodes_of
+from play_launch.control.units import full_name, guests_of, meant, members_of, nodes_of
 from play_launch.process.identity import NoSuchProcessError, ProcessHandle, ProcessIdentity
 from play_launch.recording.resolved_form import redacted_arguments
 from play_launch.supervisor.events import (
@@ -189,16 +187,9 @@ class Actions:
         return [*members_of(expected, processes), *nodes_of(expected)]
 
     def _targets(self, action: str, names: Sequence[str]) -> list[Target]:
-        members = members_of(self._publisher.view, self._system.processes)
-        nodes = nodes_of(self._publisher.view)
-        others = guests_of(self._publisher.view)
-        if action in MEMBER_ACTIONS:
-            others |= dict.fromkeys(nodes, "is a composable node; use load, unload or reload")
-            return chosen(names, members, others)
-        if action in NODE_ACTIONS:
-            others |= dict.fromkeys(members, "is not a composable node; use start, stop or restart")
-            return chosen(names, nodes, others)
-        return chosen(names, [*members, *nodes], others)
+        view = self._publisher.view
+        members = members_of(view, self._system.processes)
+        return meant(action, names, members, nodes_of(view), guests_of(view))
 
     def _refuse_if_stopping(self) -> None:
         if self._system.is_stopping:

@@ -40,9 +40,9 @@ from play_launch.control.protocol import (
     OperationError,
 )
 from play_launch.control.units import (
-    chosen,
     full_name,
     guests_of,
+    meant,
     members_of,
     nodes_of,
     rows_of,
@@ -271,8 +271,8 @@ class Operations:
 
     def _chosen(self, wanted: Sequence[str]) -> list[Target]:
         view = self._publisher.view
-        units = [*members_of(view, self._system.processes), *nodes_of(view)]
-        return chosen(wanted, units, guests_of(view))
+        members = members_of(view, self._system.processes)
+        return meant("", wanted, members, nodes_of(view), guests_of(view))
 
 
 def _restarts_of(target: Target, events: Sequence[RunEvent]) -> Iterator[RestartRecord]:

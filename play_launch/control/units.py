@@ -16,7 +16,7 @@ from play_launch.config.node_key import NodeKey
 from play_launch.config.text import listed, similar
 from play_launch.container.messages import state_of_guest
 from play_launch.control.messages import Managed, UnitRow, UnitStatus
-from play_launch.control.protocol import Code, OperationError
+from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, Code, OperationError
 from play_launch.process.cgroups.usage import group_of, usage_of
 from play_launch.process.exit import UNKNOWN_STATUS
 from play_launch.supervisor.events import (
@@ -41,6 +41,7 @@ Target = NodeKey | str
 Samples = dict[tuple[SubjectKind, str], ProcessSample]
 """The latest sample of each subject."""
 
+OF_ANOTHER_PROGRAM: Final = "was loaded by another program, and is only listed"
 _LISTED: Final = 10
 """Names in an error."""
 _WILD: Final = frozenset("*?[")
@@ -100,9 +101,7 @@ def nodes_of(view: SystemView) -> list[Target]:
 def guests_of(view: SystemView) -> dict[Target, str]:
     """Give the nodes that other programs have loaded, each with why nothing is done to it."""
     every = [(each.name, name) for each in view.containers.values() for name in each.guests]
-    return dict.fromkeys(
-        itertools.starmap(NodeKey, every), "was loaded by another program, and is only listed"
-    )
+    return dict.fromkeys(itertools.starmap(NodeKey, every), OF_ANOTHER_PROGRAM)
 
 
 def full_name(target: Target) -> str:
@@ -140,6 +139,24 @@ def chosen(
             raise OperationError(Code.AMBIGUOUS_NAME, text, name=word)
         found.update(meant)
     return [each for each in candidates if each in found]
+
+
+def meant(
+    operation: str,
+    names: Sequence[str],
+    members: Sequence[Target],
+    nodes: Sequence[Target],
+    guests: Mapping[Target, str],
+) -> list[Target]:
+    """Find the units that the names of an operation mean; see `chosen`."""
+    others = dict(guests)
+    if operation in MEMBER_ACTIONS:
+        others |= dict.fromkeys(nodes, "is a composable node; use load, unload or reload")
+        return chosen(names, members, others)
+    if operation in NODE_ACTIONS:
+        others |= dict.fromkeys(members, "is not a composable node; use start, stop or restart")
+        return chosen(names, nodes, others)
+    return chosen(names, [*members, *nodes], others)
 
 
 def _named(word: str, candidates: Sequence[Target]) -> list[Target]:

@@ -20,7 +20,7 @@ from play_launch.control.messages import (
     read_arguments,
 )
 from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, Code, OperationError
-from play_launch.control.units import chosen
+from play_launch.control.units import OF_ANOTHER_PROGRAM, meant
 from play_launch.deploy.machines.hosts import LinkLost
 from play_launch.deploy.machines.part import BEGUN
 from play_launch.recording.console_format import logger_of, loggers_in
@@ -163,7 +163,7 @@ class Requests:
 
     async def _rows(self, operation: str, arguments: Mapping[str, Any]) -> list[dict[str, Any]]:
         names = arguments.get("names", ())
-        targets = self._by_machine(names) if names else dict.fromkeys(self._parts, ())
+        targets = self._by_machine(operation, names) if names else dict.fromkeys(self._parts, ())
         found: dict[str, list[dict[str, Any]]] = {}
         errors: list[OperationError] = []
 
@@ -211,7 +211,7 @@ class Requests:
 
     async def _act(self, operation: str, arguments: dict[str, Any], caller: Caller) -> object:
         names = arguments.get("names", ())
-        targets = self._by_machine(names) if names else dict.fromkeys(self._parts, ())
+        targets = self._by_machine(operation, names) if names else dict.fromkeys(self._parts, ())
         results: list[dict[str, Any]] = []
         errors: list[OperationError] = []
 
@@ -237,15 +237,23 @@ class Requests:
             raise errors[0]
         return {"results": results}
 
-    def _by_machine(self, names: Sequence[str]) -> dict[str, Sequence[str]]:
+    def _by_machine(self, operation: str, names: Sequence[str]) -> dict[str, Sequence[str]]:
         """Find the units that names mean, by their machines; raises OperationError."""
         places: dict[Target, str] = {}
+        guests: dict[Target, str] = {}
         for part in self._parts.values():
+            declared = {
+                node.key for each in part.config.containers for node in each.composable_nodes
+            }
             for row in part.rows or _declared(part.config):
                 key = NodeKey(row["container"], row["name"]) if row["container"] else row["name"]
                 places[key] = part.name
+                if isinstance(key, NodeKey) and key not in declared:
+                    guests[key] = OF_ANOTHER_PROGRAM
+        members = [each for each in places if isinstance(each, str)]
+        nodes = [each for each in places if isinstance(each, NodeKey) and each not in guests]
         found: dict[str, Sequence[str]] = {}
-        for target in chosen(names, list(places)):
+        for target in meant(operation, names, members, nodes, guests):
             found[places[target]] = (*found.get(places[target], ()), str(target))
         return found
 
@@ -259,7 +267,8 @@ class Requests:
 
     async def _follow(self, request: EventsRequest, caller: Caller) -> object:
         """Send the events of all machines, as `events` of one session does."""
-        wanted = _Wanted(request, self._by_machine(request.names) if request.names else None)
+        targets = self._by_machine("events", request.names) if request.names else None
+        wanted = _Wanted(request, targets)
         waiting = Waiting()
 
         def append(event: dict[str, Any]) -> None:
