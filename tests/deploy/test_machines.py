@@ -247,8 +247,16 @@ def test_detached_machines_run_on_and_the_next_replay_adopts_them(
     assert tool.stat().st_mode & 0o777 == 0o700
     pids = supervisors(net, 2), supervisors(net, 3)
     assert all(pids)
+    text = (
+        config.read_text()
+        .replace("machine: h2", "machine: x")
+        .replace("machine: h3", "machine: h2")
+    )
+    config.write_text(text.replace("machine: x", "machine: h3"))
     with running(net, config) as heir:
-        heir.loaded()
+        rows = heir.loaded().rows()
+        # What came to h2 waits for what came to h3.
+        assert (rows["/listener"]["machine"], rows["/talker"]["machine"]) == ("h2", "h3")
         assert (supervisors(net, 2), supervisors(net, 3)) == pids
         heir.stop()
 

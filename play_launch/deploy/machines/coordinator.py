@@ -14,6 +14,7 @@ from play_launch.config.machines import DiscoveryBy, part_of, stopped_after, use
 from play_launch.control.event_words import event_object, words_of
 from play_launch.control.protocol import Code, OperationError
 from play_launch.deploy.machines.applying import Applying
+from play_launch.deploy.machines.channel import first_done
 from play_launch.deploy.machines.hosts import HostError, LinkLost
 from play_launch.deploy.machines.part import BEGUN, OVER, Part
 from play_launch.deploy.machines.requests import Requests
@@ -21,7 +22,7 @@ from play_launch.deploy.unit import stop_seconds
 from play_launch.supervisor.events import MachineState
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Sequence
+    from collections.abc import Callable, Sequence
 
     from anyio.abc import TaskGroup
 
@@ -82,7 +83,7 @@ class Coordinator:
         once all are up, and they run on; the next coordinator adopts them. Raises HostError when a
         machine that is not optional cannot be used; nothing was started then.
         """
-        await _first_done(self._prepare_all(), stop.wait())
+        await first_done(self._prepare_all(), stop.wait())
         if stop.is_set():
             for part in self.parts.values():
                 part.close()
@@ -94,13 +95,13 @@ class Coordinator:
                 self.follow(part)
             tasks.start_soon(self._watch_for_the_end)
             if detach:
-                await _first_done(stop.wait(), self._ended.wait(), self._all_loaded())
+                await first_done(stop.wait(), self._ended.wait(), self._all_loaded())
             else:
-                await _first_done(stop.wait(), self._ended.wait())
+                await first_done(stop.wait(), self._ended.wait())
             self._tasks = None
             code = self._exit_code()
             if not detach or stop.is_set():
-                await _first_done(self._stop(), hurry.wait())
+                await first_done(self._stop(), hurry.wait())
                 for part in self.parts.values():
                     await part.request_end()
             tasks.cancel_scope.cancel()
@@ -296,16 +297,3 @@ class Coordinator:
                 met = sorted(list(each) for other in others for each in other.met)
                 if part.told != met:
                     await part.tell(met)
-
-
-async def _first_done(*works: Awaitable[object]) -> None:
-    """Wait for the first of them, and cancel the others; raises what it raises."""
-    tasks = [asyncio.ensure_future(work) for work in works]
-    try:
-        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        for task in done:
-            task.result()
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)

@@ -14,9 +14,9 @@ import anyio
 
 from play_launch.config.machines import Service
 from play_launch.control.feed import USUAL_KINDS
-from play_launch.control.protocol import OperationError
+from play_launch.control.protocol import Code, OperationError
 from play_launch.deploy.machines.bundle import BUSY, Bundle, files_of, require_fit
-from play_launch.deploy.machines.channel import Channel, OtherClock
+from play_launch.deploy.machines.channel import Channel, OtherClock, first_done
 from play_launch.deploy.machines.hosts import HostError, LinkLost, SessionGone, about, connect
 from play_launch.supervisor.events import MachineChanged, MachineState
 
@@ -96,6 +96,7 @@ class Part:
         """Whether a rule of it ends the whole system: `on_exit: shutdown`."""
         self._on_change = on_change
         self._starts: list[float] = []
+        self._is_adopting = False
         self.told: list[list[str]] = []
         """Conditions that are met elsewhere."""
 
@@ -114,7 +115,7 @@ class Part:
 
     async def open(self) -> Channel:
         """Connect to its session once more; raises LinkLost and OperationError."""
-        if self.state is not MachineState.RUNNING:
+        if self.state is not MachineState.RUNNING and not self._is_adopting:
             raise LinkLost(self.reason or str(self.state))
         return await Channel.open(self.host, self._link)
 
@@ -146,10 +147,7 @@ class Part:
         self.put(MachineState.STARTING)
         try:
             await self.adopt(self.config, self.bundle)
-            link = await self._running()
-            if link:
-                await self._apply(link)
-            await self._attach(link or await self._start())
+            await self._attach(await self._adopted() or await self._start())
         except LinkLost as lost:
             self._lose(lost)
         while self.state is not MachineState.ENDED:
@@ -239,18 +237,32 @@ class Part:
                 return link
         return ""
 
-    async def _apply(self, link: str) -> None:
-        """Adopt a session, and bring it to this configuration."""
+    async def _adopted(self) -> str:
+        """Bring a session that runs already to this configuration; return its link, if any."""
+        self._link = await self._running()
+        if not self._link:
+            return ""
         _log.info("%s: its session runs already and is adopted", self.name)
-        channel = await Channel.open(self.host, link)
+        self._is_adopting = True
         try:
-            await channel.ask("apply", {"path": self.bundle.source, "arguments": self._arguments})
+            # What is changed may wait for what other machines are changed to.
+            request = {"path": self.bundle.source, "arguments": self._arguments}
+            await first_done(self.ask("apply", request), self._exchange())
         except OperationError as error:
+            if error.code == Code.REFUSED:  # the change of an earlier connection goes on
+                raise LinkLost(str(error)) from None
             raise HostError(
                 f"another configuration runs there, and cannot be changed to this one: {error}"
             ) from None
         finally:
-            channel.close()
+            self._is_adopting = False
+        return self._link
+
+    async def _exchange(self) -> None:
+        """Exchange conditions with other machines; raises OperationError and LinkLost."""
+        await self.tell(self.told)
+        await self._conditions()
+        raise SessionGone
 
     async def _links(self) -> list[str]:
         """Return the links of sessions there, the latest first."""
@@ -330,13 +342,8 @@ class Part:
                         self._stale.set()
                     self._on_event(self.name, event)
                 elif "missed" in message:
-                    _log.warning(
-                        "%s: %s events came faster than its connection carries; its recording "
-                        "has them",
-                        self.name,
-                        message["missed"],
-                    )
-
+                    text = "%s: %s events came faster than its connection carries; it has recorded them"
+                    _log.warning(text, self.name, message["missed"])
         finally:
             channel.close()
 
@@ -365,7 +372,7 @@ class Part:
     async def tell(self, met: list[list[str]]) -> None:
         """Report the conditions that are met on other machines."""
         self.told = met
-        if self.state is MachineState.RUNNING:
+        if self.state is MachineState.RUNNING or self._is_adopting:
             with contextlib.suppress(LinkLost, OperationError):
                 await self.ask("meet", {"met": met})
 
@@ -428,7 +435,7 @@ class Part:
                 pause = min(2 * pause, longest)
         if self.hello and self._about.boot == boot:
             await self._find_out_how_it_ended()
-        elif link := await self._running():
+        elif link := await (self._running() if self.hello else self._adopted()):
             await self._attach(link)
         else:
             _log.warning("%s: it was booted anew; its part is started", self.name)
