@@ -342,7 +342,7 @@ class Part:
                         self._stale.set()
                     self._on_event(self.name, event)
                 elif "missed" in message:
-                    text = "%s: %s events came faster than its connection carries; it has recorded them"
+                    text = "%s: %s events came faster than the connection carries; all are recorded"
                     _log.warning(text, self.name, message["missed"])
         finally:
             channel.close()
