@@ -139,6 +139,8 @@ class UnitRow(Struct, frozen=True, kw_only=True):
     """of a container `stopped`, `starting`, `running`, `killing`, `backoff`, `gave up`, `stopping`; of a component `pending`, `requested`, `loading`, `loaded`, `load failed`, `unloading`, `unloaded`, `crashed`, `gave up`, `lost`; of a process `pending`, `waiting`, `running`, `exited`, `backoff`, `gave up`, `stopping`, `stopped`"""  # noqa: E501 - a cell of a table
     reason: str
     """reason of the state, may be empty"""
+    is_guest: bool = False
+    """whether another program loaded it: it is only listed"""
     managed: Managed | None
     """of a [managed node](config.md#managed-nodes) with `autostart` its `state` (`absent`, `asked`, `configuring`, `activating`, `unconfigured`, `inactive`, `active`, `finalized`, `failed`) and `reason`; else null"""  # noqa: E501
     pid: int | None

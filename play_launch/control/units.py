@@ -263,7 +263,7 @@ def _of_container(
     for node in container.nodes.values():
         yield _of_node(node, container, view, samples)
     for guest in map(state_of_guest, container.guests.values()):
-        yield _of_node(guest, container, view, samples)
+        yield replace(_of_node(guest, container, view, samples), is_guest=True)
 
 
 def _of_node(

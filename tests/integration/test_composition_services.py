@@ -259,6 +259,7 @@ def test_what_others_load_is_seen_and_not_supervised(tmp_path: Path, probe: Prob
             "loaded",
             "by another program",
         )
+        assert [row["name"] for row in rows.values() if row["is_guest"]] == ["/guest"]
         for words in (("reload", "/guest"), ("param", "get", "guest", "rate")):
             assert "loaded by another program" in replay.ask(*words).stderr
         os.kill(rows["/guest"]["pid"], signal.SIGSEGV)

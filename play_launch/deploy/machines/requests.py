@@ -242,13 +242,10 @@ class Requests:
         places: dict[Target, str] = {}
         guests: dict[Target, str] = {}
         for part in self._parts.values():
-            declared = {
-                node.key for each in part.config.containers for node in each.composable_nodes
-            }
             for row in part.rows or _declared(part.config):
                 key = NodeKey(row["container"], row["name"]) if row["container"] else row["name"]
                 places[key] = part.name
-                if isinstance(key, NodeKey) and key not in declared:
+                if row.get("is_guest"):
                     guests[key] = OF_ANOTHER_PROGRAM
         members = [each for each in places if isinstance(each, str)]
         nodes = [each for each in places if isinstance(each, NodeKey) and each not in guests]
