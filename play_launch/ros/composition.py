@@ -7,6 +7,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+import anyio
+
 from play_launch.ros.thread import RosThread, RosThreadError
 
 if TYPE_CHECKING:
@@ -14,6 +16,8 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
+_AWAY: Final = 1.0
+"""Seconds without its services after which a container is gone."""
 _LISTS: Final = 8
 """Requests for a list that may be open: answers get lost, and a late one still counts."""
 _LIST_INTERVALS: Final = (0.25, 3.0)
@@ -60,8 +64,17 @@ class CompositionClient:
         await self._ros.until(self._is_ready)
 
     async def gone(self) -> None:
-        """Wait until they are not there any more."""
-        await self._ros.until(lambda node: not self._is_ready(node))
+        """Wait until they have left.
+
+        They seem to be away for a moment, too, when another process of that name leaves the graph:
+        20 s later if that was killed.
+        """
+        away = False
+        while not away:
+            await self._ros.until(lambda node: not self._is_ready(node))
+            with anyio.move_on_after(_AWAY) as waiting:
+                await self.ready()
+            away = waiting.cancelled_caught
 
     async def is_ready(self) -> bool:
         """Whether the services are available now."""

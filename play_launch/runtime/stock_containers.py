@@ -46,7 +46,7 @@ class Detached(Exit):
 class AttachedContainer:
     """Stands for the process of a container that something else has started.
 
-    It ends when the services of the container leave the graph, at once after an orderly end and
+    It ends when the services of the container have left the graph, soon after an orderly end and
     with the lease of its participant (20 s by default) after SIGKILL, or when it is detached.
     """
 

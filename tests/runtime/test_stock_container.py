@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+from bisect import bisect
 from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from msgspec.structs import replace
@@ -16,10 +19,15 @@ from play_launch.config.model import (
 from play_launch.container.codec import EncodeError
 from play_launch.container.messages import Load
 from play_launch.container.ros import NotInstalledError
+from play_launch.ros.composition import CompositionClient
 from play_launch.runtime.stock_containers import StockContainers
 from play_launch.runtime.stock_link import load_node_request
 
 from .fakes import container, system
+from .jumping_loop import run as run_jumping
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 def test_each_domain_has_a_participant(ros_domain: int, other_domain: int) -> None:
@@ -34,6 +42,39 @@ def test_each_domain_has_a_participant(ros_domain: int, other_domain: int) -> No
     finally:
         stock.close()
     assert not stock._threads
+
+
+class Graph:
+    """A ROS thread in whose graph services come and go at certain times."""
+
+    def __init__(self, *changes: float) -> None:
+        self._changes = changes
+
+    def post(self, work: object) -> None:
+        pass
+
+    async def until(self, holds: Callable[[Any], bool]) -> None:
+        while not holds(None):
+            await asyncio.sleep(0.001)
+
+    def service_is_ready(self) -> bool:
+        return bisect(self._changes, asyncio.get_running_loop().time()) % 2 == 0
+
+
+@pytest.mark.parametrize(("changes", "expected"), [((1.0,), 2.0), ((1.0, 1.002, 5.0), 6.0)])
+def test_services_that_are_away_for_a_moment_are_not_gone(
+    changes: tuple[float, ...], expected: float
+) -> None:
+    async def gone() -> float:
+        loop = asyncio.get_running_loop()
+        began = loop.time()
+        graph: Any = Graph(*(began + each for each in changes))
+        client = CompositionClient(graph, "/theirs")
+        client._clients = dict.fromkeys(("load_node", "list_nodes"), graph)
+        await client.gone()
+        return loop.time() - began
+
+    assert run_jumping(gone()) == pytest.approx(expected, abs=0.01)
 
 
 def test_what_keeps_ros_from_working_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
