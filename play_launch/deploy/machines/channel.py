@@ -126,17 +126,17 @@ class OtherClock:
     async def measure(self, connect: Callable[[], Awaitable[Channel]]) -> None:
         """Compare the clocks; raises LinkLost and OperationError."""
         samples = []
-        for _ in range(_SAMPLES):
-            channel = await connect()
-            try:
+        channel = await connect()
+        try:
+            for _ in range(_SAMPLES):
                 before, begun = time.time_ns(), self._recording_clock()
                 there = await channel.ask("clock")
                 trip = self._recording_clock() - begun
-            finally:
-                channel.close()
-            ahead = there["stamp_ns"] - before - trip // 2
-            recorded = there["recording_ns"]
-            samples.append((trip, ahead, recorded, recorded - begun - trip // 2))
+                ahead = there["stamp_ns"] - before - trip // 2
+                recorded = there["recording_ns"]
+                samples.append((trip, ahead, recorded, recorded - begun - trip // 2))
+        finally:
+            channel.close()
         trip, ahead, recorded, offset = min(samples)
         if not self.offsets or abs(offset - self.offsets[-1][1]) > max(_NOTABLE_NS, trip // 2):
             self.offsets.append((recorded, offset))
