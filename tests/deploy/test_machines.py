@@ -350,12 +350,14 @@ def test_a_session_that_is_killed_again_and_again_is_given_up(net: Hosts, tmp_pa
 
 
 def test_a_supervisor_that_hangs_holds_up_no_other_machine(net: Hosts, tmp_path: Path) -> None:
-    with running(net, system(tmp_path, "hung")) as hung:
+    config = system(tmp_path, "hung", more="expect: {/chatter: {min_rate: 1, machine: h2}}")
+    with running(net, config) as hung:
         hung.loaded()
         (pid,) = supervisors(net, 3)
         os.kill(pid, signal.SIGSTOP)
         try:
             rows = hung.rows()
+            assert "h2       /chatter" in hung.ask("expect", code=None)
         finally:
             os.kill(pid, signal.SIGCONT)
         assert rows["/talker"]["state"] == "loaded"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from typing import TYPE_CHECKING, Any, Final
 
@@ -53,6 +54,8 @@ _NOTICED: Final = 0.5
 _LEAST: Final = 0.001
 _ANSWER: Final = 5.0
 """Seconds for the rows of a machine; its session may be stopped, or very busy."""
+_LATER: Final = 2.0
+"""The same for one that has not answered last time."""
 _UNKNOWN: Final[dict[str, Any]] = {
     "last_restarts": (),
     "waits_for": "",
@@ -77,6 +80,8 @@ class Requests:
         self._change = change
         self._events: Backlog[dict[str, Any]] = Backlog(KEPT)
         self._followers: list[Callable[[dict[str, Any]], None]] = []
+        self._silent: set[str] = set()
+        """Machines that have not answered when they were asked last."""
 
     async def __call__(self, request: Request, caller: Caller) -> object:
         arguments = _object(request.arguments)
@@ -92,14 +97,10 @@ class Requests:
             case "environment":
                 return await self._first("environment", caller)
             case "snapshot":
-                found = [
-                    await self.result(part, "snapshot", {}, caller) for part in self._reachable()
-                ]
+                found = [*(await self._all("snapshot", caller)).values()]
                 return {key: sum(each[key] for each in found) for key in found[0]} if found else {}
             case "recording":
-                found = [
-                    await self.result(part, "recording", {}, caller) for part in self._reachable()
-                ]
+                found = [*(await self._answering("recording")).values()]
                 return {
                     "dropped": sum(each["dropped"] for each in found),
                     "topic_drops": sum(each["topic_drops"] for each in found),
@@ -107,17 +108,15 @@ class Requests:
                     "error": next((each["error"] for each in found if each["error"]), ""),
                 }
             case "system":
-                found = [
-                    await self.result(part, "system", {}, caller) for part in self._reachable()
-                ]
-                times = [each["up_after_s"] for each in found]
+                times = [each["up_after_s"] for each in (await self._answering("system")).values()]
                 is_up = len(times) == len(self._parts) and None not in times
                 return {"up_after_s": max(times) if is_up else None}
             case "expectations":
+                answers = await self._answering("expectations")
                 return [
-                    {**row, "machine": part.name}
-                    for part in self._reachable()
-                    for row in await self.result(part, "expectations", {}, caller)
+                    {**row, "machine": name}
+                    for name in sorted(answers, key=[*self._parts].index)
+                    for row in answers[name]
                 ]
         known = ", ".join(sorted((*_LISTS, *_ACTIONS, *_OTHERS)))
         text = f"unknown operation {request.op!r:.80}; there are: {known}"
@@ -161,6 +160,48 @@ class Requests:
             result = each.get("result", result)
         return result
 
+    async def _all(self, operation: str, caller: Caller) -> dict[str, Any]:
+        """Request an operation of all machines at once; raises OperationError if one refuses."""
+        found: dict[str, Any] = {}
+        errors: list[OperationError] = []
+
+        async def ask(part: Part) -> None:
+            try:
+                found[part.name] = await self.result(part, operation, {}, caller)
+            except OperationError as error:
+                errors.append(error)
+
+        async with anyio.create_task_group() as tasks:
+            for part in self._reachable():
+                tasks.start_soon(ask, part)
+        if errors:
+            raise errors[0]
+        return found
+
+    async def _answering(self, operation: str) -> dict[str, Any]:
+        """Ask all machines at once; return what those say that answer, by their names."""
+        found: dict[str, Any] = {}
+
+        async def ask(part: Part) -> None:
+            with contextlib.suppress(LinkLost, OperationError, TimeoutError):
+                found[part.name] = await self._soon(part, operation)
+
+        async with anyio.create_task_group() as tasks:
+            for part in self._reachable():
+                tasks.start_soon(ask, part)
+        return found
+
+    async def _soon(self, part: Part, operation: str, arguments: object = None) -> Any:
+        """Ask a machine; raises TimeoutError, sooner where it has not answered last time."""
+        try:
+            async with asyncio.timeout(_LATER if part.name in self._silent else _ANSWER):
+                answer = await part.ask(operation, arguments)
+        except TimeoutError:
+            self._silent.add(part.name)
+            raise
+        self._silent.discard(part.name)
+        return answer
+
     async def _rows(self, operation: str, arguments: Mapping[str, Any]) -> list[dict[str, Any]]:
         names = arguments.get("names", ())
         targets = self._by_machine(operation, names) if names else dict.fromkeys(self._parts, ())
@@ -170,8 +211,7 @@ class Requests:
         async def ask(part: Part, wanted: Sequence[str]) -> None:
             rows: list[dict[str, Any]] = []
             try:
-                async with asyncio.timeout(_ANSWER):
-                    rows = await part.ask(operation, {"names": wanted})
+                rows = await self._soon(part, operation, {"names": wanted})
                 if operation == "ps" and not wanted:
                     part.rows = rows
             except OperationError as error:
