@@ -102,6 +102,7 @@ def test_a_cut_loses_no_line_and_stops_nothing(net: Hosts, tmp_path: Path) -> No
             assert "unreachable" in cut.ask("restart", "listen", code=1)
             assert "unreachable since" in cut.ask("status", "listener", code=3)
             assert cut.ask("events", "listener")
+            assert "unreachable" in cut.ask("wait", "--timeout", "100ms", code=4)
             assert cut.rows()["/talker"]["state"] == "loaded"
         finally:
             net.set_link(3, "up")

@@ -241,9 +241,11 @@ class Requests:
             left = max(deadline - anyio.current_time(), _LEAST)
             try:
                 return await self.result(part, "wait", {**arguments, "timeout": left}, caller)
-            except _MachineLostError:
-                if left == _LEAST or part.state not in {*BEGUN, MachineState.RUNNING}:
+            except _MachineLostError as lost:
+                if part.state not in {*BEGUN, MachineState.RUNNING}:
                     raise
+                if left == _LEAST:
+                    raise OperationError(Code.TIMEOUT, str(lost)) from None
             # Its loss may not have been noticed yet.
             with anyio.move_on_after(min(left, _NOTICED)):
                 part.changed.clear()
