@@ -118,7 +118,12 @@ async def _until_the_end(
     machines = Path(control.folder) / MACHINES
 
     def note_recordings() -> None:
-        machines.write_text(json.dumps(coordinator.recordings(), indent=1))
+        half = machines.with_name(f"{MACHINES}.new")
+        try:
+            half.write_text(json.dumps(coordinator.recordings(), indent=1))
+            half.replace(machines)
+        except OSError as error:
+            _log.warning("the recordings of the machines cannot be listed: %s", error.strerror)
 
     coordinator.on_change = note_recordings
     page: contextlib.AbstractAsyncContextManager[None] = contextlib.nullcontext()

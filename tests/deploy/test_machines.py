@@ -237,6 +237,26 @@ def test_a_full_disk_of_a_machine_is_said_before_anything_starts(
     assert not supervisors(net, 2)
 
 
+def test_a_list_of_recordings_that_cannot_be_written_ends_nothing(
+    net: Hosts, tmp_path: Path
+) -> None:
+    with running(net, system(tmp_path, "unlisted")) as unlisted:
+        unlisted.loaded()
+        (listed,) = (net.home / ".ros/play_launch").glob("*-unlisted/machines.json")
+        listed.unlink()
+        listed.mkdir()  # as with a disk that is full
+        net.set_link(3, "down")
+        try:
+            until(lambda: unlisted.rows()["/listener"]["state"] == "unreachable", "the loss")
+        finally:
+            net.set_link(3, "up")
+        until(lambda: unlisted.rows()["/listener"]["state"] == "loaded", "the return")
+        listed.rmdir()
+        unlisted.stop()
+    assert "the recordings of the machines cannot be listed: Is a directory" in unlisted.printed()
+    net.run("collect", code=0)
+
+
 def test_detached_machines_run_on_and_the_next_replay_adopts_them(
     net: Hosts, tmp_path: Path
 ) -> None:

@@ -48,7 +48,7 @@ _NAME: Final = re.compile(r"\d{4}(?:-\d\d){5}-.+", re.ASCII | re.DOTALL)
 """As `recording.session` names the folder of a session."""
 _OWN: Final = re.compile(
     r"session(_\d+)?(\.mcap(\.active|\.recovering|\.damaged)*|\.html|\.trace\.json|-csv|-parquet)"
-    rf"|metadata\.yaml(\.new)?|{re.escape(MACHINES)}|{re.escape(CONTROL_SOCKET)}|\.session.*\.\d+\.writing",
+    rf"|(metadata\.yaml|{re.escape(MACHINES)})(\.new)?|{re.escape(CONTROL_SOCKET)}|\.session.*\.\d+\.writing",
     re.ASCII,
 )
 """What play-launch puts into it: recordings, and what is made of them; anything else pins it."""
