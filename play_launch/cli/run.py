@@ -17,7 +17,15 @@ from msgspec.structs import replace
 from play_launch.cli.background import Background, library_output_logged
 from play_launch.cli.check import describe
 from play_launch.cli.output import is_terminal, say_live, wants_colour
-from play_launch.cli.show.display import Display, JsonStyle, LiveStyle, PlainStyle, Style, encode
+from play_launch.cli.show.display import (
+    Display,
+    JsonStyle,
+    LiveStyle,
+    PlainStyle,
+    ShownEvent,
+    Style,
+    encode,
+)
 from play_launch.control.feed import Feed
 from play_launch.control.registration import ControlSocket
 from play_launch.process import open_files
@@ -255,7 +263,7 @@ def _one_line_each(values: Mapping[str, object]) -> str:
     return "{\n" + ",\n".join(lines) + "\n}"
 
 
-def _style(options: RunOptions) -> Style:
+def _style(options: RunOptions) -> Style[ShownEvent]:
     stream = sys.stdout
     if options.as_json:
         return JsonStyle(stream)

@@ -8,6 +8,7 @@ import gc
 import json
 import logging
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,6 +17,7 @@ from play_launch.cli.background import going_on
 from play_launch.cli.check import describe
 from play_launch.cli.events import text_of
 from play_launch.cli.output import report, say_live, warn
+from play_launch.cli.show.display import Screen, Style, encode
 from play_launch.cli.systemd_unit import program
 from play_launch.config.machines import discovery_problems, used_machines
 from play_launch.control.event_words import event_object, words_of
@@ -41,22 +43,37 @@ _SHOWN: Final = frozenset(("action", "log", "machine", "node", "output", "proces
 """Kinds of events that are printed for people: those of containers repeat their processes'."""
 
 
-class _Screen:
-    """Prints events of all machines, each a line."""
+class _Lines(Style[dict[str, Any]]):
+    """Events of all machines, each a line."""
 
     def __init__(self, *, as_json: bool, quiet: bool) -> None:
         self._as_json = as_json
-        self._quiet = quiet
+        self._hidden = {"output"} if quiet else set()
 
-    def show(self, machine: str, event: dict[str, Any]) -> None:
+    def show(self, batch: Sequence[dict[str, Any]], missed: int) -> None:
         if self._as_json:
-            say_live(json.dumps(event, separators=(",", ":")))
-        elif event["event"] in _SHOWN and not (self._quiet and event["event"] == "output"):
-            source = f"{machine} {event['source']}" if machine else event["source"]
-            say_live(text_of({**event, "source": source}))
+            lines = [encode(event) for event in batch]
+            lines += [encode({"event": "missed", "lines": missed})] if missed else []
+        else:
+            kinds = _SHOWN - self._hidden
+            lines = [_text(event) for event in batch if event["event"] in kinds]
+            lines += [f"{missed} lines are missing here; the recordings have them"] * bool(missed)
+        if lines:
+            sys.stdout.write("".join(f"{line}\n" for line in lines))
+            sys.stdout.flush()
+
+
+def _text(event: dict[str, Any]) -> str:
+    machine, source = event["machine"], event["source"]
+    return text_of({**event, "source": f"{machine} {source}" if machine else source})
+
+
+class _Screen(Screen[dict[str, Any]]):
+    def show(self, event: dict[str, Any]) -> None:
+        self.put(event, is_output=event["event"] == "output")
 
     def show_output(self, line: OutputLine) -> None:
-        self.show("", {"machine": "", **event_object(line), **words_of(line)._asdict()})
+        self.show({"machine": "", **event_object(line), **words_of(line)._asdict()})
 
 
 def run_machines(
@@ -72,7 +89,6 @@ def run_machines(
     """Bring the system up on its machines, keep it until its end, and return the exit code."""
     for each in discovery_problems(config, os.environ):
         warn(each)
-    screen = _Screen(as_json=as_json, quiet=quiet)
     with RunSignals() as signals, contextlib.ExitStack() as opened:
         session = open_session(
             description, log_folder=log_folder or config.log_dir, record=config.record
@@ -83,6 +99,8 @@ def run_machines(
         if not as_json:
             names = ", ".join(used_machines(config))
             say_live(f"{config.name}: {describe(config)} on {names}")
+        screen = _Screen(_Lines(as_json=as_json, quiet=quiet))
+        opened.callback(screen.close)
         coordinator = Coordinator(config, arguments, str(program()), screen.show, session.recorder)
         work = _until_the_end(
             coordinator, session, control, signals, screen.show_output, detach=detach

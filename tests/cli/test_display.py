@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 EMPTY = SystemView()
 
 
-class StubStyle(Style):
+class StubStyle(Style[ShownEvent]):
     """Collects; ``gate`` stands for a terminal that takes nothing."""
 
     def __init__(self, error: Exception | None = None) -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import subprocess
 import sys
+import termios
+from array import array
 from pathlib import Path
 from typing import Any
 
@@ -255,6 +258,33 @@ def test_a_list_of_recordings_that_cannot_be_written_ends_nothing(
         unlisted.stop()
     assert "the recordings of the machines cannot be listed: Is a directory" in unlisted.printed()
     net.run("collect", code=0)
+
+
+def test_a_terminal_that_takes_nothing_holds_up_no_machine(net: Hosts, tmp_path: Path) -> None:
+    config = system(tmp_path, "unread")
+    config.write_text(config.read_text().replace("echo tick $((i += 1))", "seq 1 5000"))
+    command = net.play_launch("replay", str(config))
+    reading, writing = os.pipe()
+    try:
+        unread = subprocess.Popen(
+            command, env=net.environment, stdin=subprocess.DEVNULL, stdout=writing
+        )
+        session = ("--session", str(unread.pid))
+        full = array("i", [0])
+
+        def is_full() -> bool:
+            fcntl.ioctl(reading, termios.FIONREAD, full)
+            return full[0] > 60_000
+
+        until(is_full, "a pipe that is full")
+        net.run("wait", "--timeout", "40s", *session, code=0)
+        net.run("restart", "listen", *session, code=0)
+        unread.send_signal(signal.SIGINT)
+        assert unread.wait(40) == 130
+    finally:
+        os.close(reading)
+        os.close(writing)
+    assert not supervisors(net, 3)
 
 
 def test_detached_machines_run_on_and_the_next_replay_adopts_them(

@@ -8,7 +8,7 @@ import logging
 import sys
 import threading
 import time
-from typing import IO, TYPE_CHECKING, Final, NamedTuple
+from typing import IO, TYPE_CHECKING, Final, Generic, NamedTuple, TypeVar
 
 from play_launch.cli.output import counted, duration, redirect_to_devnull
 from play_launch.cli.show.lines import DisplayLine, format_lines, line_of, missed_line
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from play_launch.supervisor.events import NodeStateChanged, ProcessEvent
     from play_launch.supervisor.view import ContainerView
 
+_Item = TypeVar("_Item")
 _log = logging.getLogger(__name__)
 _NO_VIEW: Final = SystemView()
 _LINES_LIMIT: Final = 5_000
@@ -55,11 +56,11 @@ class ShownEvent(NamedTuple):
     after: SystemView
 
 
-class Style:
+class Style(Generic[_Item]):
     """One way to show a run; called in the display's thread."""
 
-    def show(self, batch: Sequence[ShownEvent], missed: int) -> float | None:
-        """Show events; ``missed`` lines of output before the last of them are not among them.
+    def show(self, batch: Sequence[_Item], missed: int) -> float | None:
+        """Show what happened; ``missed`` lines of output before the end of it are missing.
 
         Returns the seconds after which to be called again even though nothing has happened, or
         None.
@@ -70,19 +71,18 @@ class Style:
         """Restore the terminal."""
 
 
-class Display:
-    """Shows events of any thread, samples excepted, and without output where ``quiet``.
+class Screen(Generic[_Item]):
+    """Shows what any thread gives it.
 
     A terminal can be stopped (Ctrl-S) and a pipe can be full; both would block the writing thread.
     When a write to stdout fails (its reader has exited, the disk is full, the terminal was closed),
     the display ends, and the run continues.
     """
 
-    def __init__(self, style: Style, *, quiet: bool = False) -> None:
+    def __init__(self, style: Style[_Item]) -> None:
         self._style = style
-        self._hidden = (Sample, OutputLine) if quiet else Sample
         self._lock = threading.Lock()
-        self._queue: list[ShownEvent] = []
+        self._queue: list[_Item] = []
         self._missed = 0
         self._closing = False
         self._is_off = False
@@ -91,23 +91,19 @@ class Display:
         self._thread = threading.Thread(target=self._run, name="display", daemon=True)
         self._thread.start()
 
-    def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
-        """Show an event soon; never blocks."""
-        if self._is_off or isinstance(event, self._hidden):
+    def put(self, item: _Item, *, is_output: bool) -> None:
+        """Show something soon; never blocks."""
+        if self._is_off:
             return
-        room = _LINES_LIMIT + (0 if isinstance(event, OutputLine) else _OTHERS_LIMIT)
+        room = _LINES_LIMIT + (0 if is_output else _OTHERS_LIMIT)
         with self._lock:
             waiting = len(self._queue)
             if self._closing or waiting >= room:
                 self._missed += 1
                 return
-            self._queue.append(ShownEvent(event, before, after))
+            self._queue.append(item)
         if not waiting:
             self._wake.set()
-
-    def publish_alone(self, event: LogRecord | OutputLine) -> None:
-        """Show what neither changes the view nor needs one, in any thread."""
-        self.publish(event, _NO_VIEW, _NO_VIEW)
 
     def close(self) -> None:
         with self._lock:
@@ -142,6 +138,22 @@ class Display:
                 self._style.close()
 
 
+class Display(Screen[ShownEvent]):
+    """Shows the events of a run, samples excepted, and without output where ``quiet``."""
+
+    def __init__(self, style: Style[ShownEvent], *, quiet: bool = False) -> None:
+        self._hidden = (Sample, OutputLine) if quiet else Sample
+        super().__init__(style)
+
+    def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
+        if not isinstance(event, self._hidden):
+            self.put(ShownEvent(event, before, after), is_output=isinstance(event, OutputLine))
+
+    def publish_alone(self, event: LogRecord | OutputLine) -> None:
+        """Show what neither changes the view nor needs one, in any thread."""
+        self.publish(event, _NO_VIEW, _NO_VIEW)
+
+
 # Styles.
 
 _REDRAW: Final = 0.5
@@ -156,7 +168,7 @@ def encode(values: dict[str, object]) -> str:
     return json.dumps(values, separators=(",", ":"))
 
 
-class JsonStyle(Style):
+class JsonStyle(Style[ShownEvent]):
     """Events as JSON, one object a line, for programs that watch a run."""
 
     def __init__(self, stream: IO[str]) -> None:
@@ -171,7 +183,7 @@ class JsonStyle(Style):
             self._stream.flush()
 
 
-class PlainStyle(Style):
+class PlainStyle(Style[ShownEvent]):
     """Lines with a time, for files, pipes and journals."""
 
     def __init__(self, stream: IO[str], *, colour: bool) -> None:
@@ -184,7 +196,7 @@ class PlainStyle(Style):
             self._stream.flush()
 
 
-class LiveStyle(Style):
+class LiveStyle(Style[ShownEvent]):
     """Lines scroll by above a view of what is up and what is missing."""
 
     def __init__(self, console: Console, *, colour: bool) -> None:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from play_launch.recording.recorder import Recorder
     from play_launch.supervisor.events import MachineChanged, RunEvent
 
-    Show = Callable[[str, dict[str, Any]], None]
+    Show = Callable[[dict[str, Any]], None]
     """Shows an event of a machine."""
 
 _log = logging.getLogger(__name__)
@@ -133,7 +133,7 @@ class Coordinator:
     def _take(self, machine: str, event: dict[str, Any]) -> None:
         event = {"machine": machine, **event}
         self.requests.take(event)
-        self._show(machine, event)
+        self._show(event)
 
     def recordings(self) -> list[dict[str, Any]]:
         """Say where all parts are and were recorded, and how much their clocks were ahead."""
