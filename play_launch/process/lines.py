@@ -7,14 +7,20 @@ from __future__ import annotations
 
 import asyncio
 import os
+import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
 
 from play_launch.supervisor.events import Stream
 
 MAX_LINE_BYTES = 16 * 1024
 """Longer lines are cut here and marked as truncated."""
 _READ_BYTES = 64 * 1024
+_LEAST_BYTES = 4 * 1024
+_LINES = 1000
+"""Lines that are read at once, roughly: their sinks take some 10 µs for each."""
+_SHORT, _LONGEST = 0.002, 0.1
+"""Seconds: a batch that takes less holds up nothing; longer ones were held up themselves."""
 
 
 class Line(NamedTuple):
@@ -109,18 +115,23 @@ class LineReader:
     """Reads a pipe on the event loop until its end and delivers lines in batches.
 
     It owns the descriptor from the start and closes it at the end of the output or on `close`.
-    One batch is what one read gave, so a process that writes without pause cannot keep the loop
-    from its other work.
+    Processes that write without pause have two thirds of the loop's time together: after a batch
+    nothing is read for half as long as that took. Then their pipes are full, and they wait.
     """
+
+    _free_at: ClassVar[float] = 0.0
+    """When the next batch of any process may be read, by `time.monotonic`."""
 
     def __init__(self, descriptor: int, on_lines: LinesCallback) -> None:
         self._descriptor = descriptor
         self._on_lines = on_lines
         self._splitter = LineSplitter()
+        self._size = _READ_BYTES
+        self._resumption: asyncio.TimerHandle | None = None
         self._loop = asyncio.get_running_loop()
         self._ended = asyncio.Event()
         os.set_blocking(descriptor, False)
-        self._loop.add_reader(descriptor, self._read)
+        self._loop.add_reader(descriptor, self._read_in_turn)
 
     @property
     def is_open(self) -> bool:
@@ -139,12 +150,29 @@ class LineReader:
         if self._descriptor < 0:
             return
         # As much as a pipe holds by default; an endless writer must not keep us here.
+        self._size = _READ_BYTES
         if self._read():
             self._end()
 
+    def _read_in_turn(self) -> None:
+        self._resumption = None
+        began = time.monotonic()
+        if began < LineReader._free_at:
+            self._loop.remove_reader(self._descriptor)
+            delay = LineReader._free_at - began
+            self._resumption = self._loop.call_later(delay, self._resume)
+            return
+        self._read()
+        took = time.monotonic() - began
+        if took > _SHORT:
+            LineReader._free_at = began + took + min(took / 2, _LONGEST)
+
+    def _resume(self) -> None:
+        self._loop.add_reader(self._descriptor, self._read_in_turn)
+
     def _read(self) -> bool:
         try:
-            data = os.read(self._descriptor, _READ_BYTES)
+            data = os.read(self._descriptor, self._size)
         except (BlockingIOError, InterruptedError):
             return True
         except OSError:
@@ -154,10 +182,14 @@ class LineReader:
             return False
         lines = self._splitter.feed(data)
         if lines:
+            size = len(data) * _LINES // len(lines)
+            self._size = min(max(size, _LEAST_BYTES), _READ_BYTES)
             self._on_lines(lines)
         return True
 
     def _end(self) -> None:
+        if self._resumption is not None:
+            self._resumption.cancel()
         self._loop.remove_reader(self._descriptor)
         os.close(self._descriptor)
         self._descriptor = -1

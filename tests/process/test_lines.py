@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import os
 import re
+import time
 from collections.abc import Sequence
+from functools import partial
 
 import pytest
 from hypothesis import given
@@ -110,6 +112,33 @@ async def test_a_pipe_that_stays_open_is_given_up() -> None:
     with pytest.raises(BrokenPipeError):
         os.write(write_end, b"x")
     os.close(write_end)
+
+
+async def test_chatterboxes_leave_the_loop_a_third_of_its_time() -> None:
+    pipes = [os.pipe() for _ in range(3)]
+    busy = 0.0
+    batches = 0
+
+    def take(write_end: int, lines: Sequence[Line]) -> None:
+        nonlocal busy, batches
+        began = time.monotonic()
+        os.write(write_end, b"y\n" * len(lines))
+        while time.monotonic() - began < 0.01:
+            pass  # as sinks that have much to do
+        busy, batches = busy + time.monotonic() - began, batches + 1
+
+    readers = [LineReader(read_end, partial(take, write_end)) for read_end, write_end in pipes]
+    for _, write_end in pipes:
+        os.set_blocking(write_end, False)
+        os.write(write_end, b"y\n" * 1000)
+    began = time.monotonic()
+    async with asyncio.timeout(20):
+        while batches < 30:
+            await asyncio.sleep(0)
+    assert busy / (time.monotonic() - began) < 0.8
+    for reader, (_, write_end) in zip(readers, pipes, strict=True):
+        reader.close()
+        os.close(write_end)
 
 
 async def test_a_chatterbox_does_not_keep_the_loop() -> None:
