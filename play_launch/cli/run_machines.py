@@ -57,7 +57,8 @@ class _Lines(Style[dict[str, Any]]):
         else:
             kinds = _SHOWN - self._hidden
             lines = [_text(event) for event in batch if event["event"] in kinds]
-            lines += [f"{missed} lines are missing here; the recordings have them"] * bool(missed)
+            text = f"{missed} lines are missing here; the recordings have them"
+            lines += [text] if missed else []
         if lines:
             sys.stdout.write("".join(f"{line}\n" for line in lines))
             sys.stdout.flush()

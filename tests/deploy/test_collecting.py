@@ -172,3 +172,23 @@ def test_a_session_that_was_killed_is_started_again(
     explained = net.run("explain", json.loads(done.stdout)["output"])
     assert "machine h3 was started again at " in explained.stdout
     assert "Cause: the supervisor of its session was killed." in explained.stdout
+
+
+def test_a_list_of_recordings_that_cannot_be_written_ends_nothing(
+    net: Hosts, tmp_path: Path
+) -> None:
+    with running(net, system(tmp_path, "unlisted")) as unlisted:
+        unlisted.loaded()
+        (listed,) = (net.home / ".ros/play_launch").glob("*-unlisted/machines.json")
+        listed.unlink()
+        listed.mkdir()  # as with a disk that is full
+        net.set_link(3, "down")
+        try:
+            until(lambda: unlisted.rows()["/listener"]["state"] == "unreachable", "the loss")
+        finally:
+            net.set_link(3, "up")
+        until(lambda: unlisted.rows()["/listener"]["state"] == "loaded", "the return")
+        listed.rmdir()
+        unlisted.stop()
+    assert "the recordings of the machines cannot be listed: Is a directory" in unlisted.printed()
+    net.run("collect", code=0)

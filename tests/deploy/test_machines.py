@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
 import subprocess
 import sys
-import termios
-from array import array
 from pathlib import Path
 from typing import Any
 
@@ -121,48 +118,6 @@ def test_a_cut_loses_no_line_and_stops_nothing(net: Hosts, tmp_path: Path) -> No
     assert "\n  Cause: the connection is lost: " in explained
 
 
-SLOW = """\
-import socket, sys, threading, time
-from os import read, write
-
-def carry(take, give):
-    while data := take():
-        give(data)
-        time.sleep(len(data) / 400_000)
-
-server = socket.create_connection((sys.argv[1], 22))
-server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-threading.Thread(target=carry, args=(lambda: read(0, 4096), server.sendall), daemon=True).start()
-carry(lambda: server.recv(4096), lambda data: write(1, data))
-"""
-"""Carries an ssh connection, 400 kB/s each way."""
-
-
-def test_lines_that_flood_a_slow_connection_hold_up_nothing(net: Hosts, tmp_path: Path) -> None:
-    (tmp_path / "slow.py").write_text(SLOW)
-    ssh = net.home / ".ssh/config"
-    before = ssh.read_text()
-    proxy = f"{sys.executable} {tmp_path}/slow.py %h"
-    ssh.write_text(f"Host h3 10.77.0.3\n  ProxyCommand {proxy}\n{before}")
-    path = system(tmp_path, "flooded")
-    text = "line=$(printf %0150d 0); i=0; while :; do echo $((i += 1)) $line; done"
-    with path.open("a") as file:
-        file.write(f"  - {{name: flood, machine: h3, command: [bash, -c, '{text}']}}\n")
-    try:
-        with running(net, path) as flooded:
-            flooded.loaded()
-            until(lambda: "came faster than its connection carries" in flooded.printed(), "a flood")
-            for _ in range(5):
-                assert flooded.rows()["/flood"]["state"] == "running"
-            seen = flooded.printed().count('"tick ')
-            until(lambda: flooded.printed().count('"tick ') > seen + 10, "lines of another one")
-            flooded.stop()
-        ticks = flooded.ticks()
-        assert ticks == list(range(1, ticks[-1] + 1))
-    finally:
-        ssh.write_text(before)
-
-
 def test_a_stop_amid_the_start_leaves_nothing(net: Hosts, tmp_path: Path) -> None:
     with running(net, system(tmp_path, "earliest")) as earliest:
         begun = net.home / ".ros/play_launch"
@@ -238,53 +193,6 @@ def test_a_full_disk_of_a_machine_is_said_before_anything_starts(
     assert done.returncode == 1
     assert "machine h3: files cannot be written there: " in done.stderr
     assert not supervisors(net, 2)
-
-
-def test_a_list_of_recordings_that_cannot_be_written_ends_nothing(
-    net: Hosts, tmp_path: Path
-) -> None:
-    with running(net, system(tmp_path, "unlisted")) as unlisted:
-        unlisted.loaded()
-        (listed,) = (net.home / ".ros/play_launch").glob("*-unlisted/machines.json")
-        listed.unlink()
-        listed.mkdir()  # as with a disk that is full
-        net.set_link(3, "down")
-        try:
-            until(lambda: unlisted.rows()["/listener"]["state"] == "unreachable", "the loss")
-        finally:
-            net.set_link(3, "up")
-        until(lambda: unlisted.rows()["/listener"]["state"] == "loaded", "the return")
-        listed.rmdir()
-        unlisted.stop()
-    assert "the recordings of the machines cannot be listed: Is a directory" in unlisted.printed()
-    net.run("collect", code=0)
-
-
-def test_a_terminal_that_takes_nothing_holds_up_no_machine(net: Hosts, tmp_path: Path) -> None:
-    config = system(tmp_path, "unread")
-    config.write_text(config.read_text().replace("echo tick $((i += 1))", "seq 1 5000"))
-    command = net.play_launch("replay", str(config))
-    reading, writing = os.pipe()
-    try:
-        unread = subprocess.Popen(
-            command, env=net.environment, stdin=subprocess.DEVNULL, stdout=writing
-        )
-        session = ("--session", str(unread.pid))
-        full = array("i", [0])
-
-        def is_full() -> bool:
-            fcntl.ioctl(reading, termios.FIONREAD, full)
-            return full[0] > 60_000
-
-        until(is_full, "a pipe that is full")
-        net.run("wait", "--timeout", "40s", *session, code=0)
-        net.run("restart", "listen", *session, code=0)
-        unread.send_signal(signal.SIGINT)
-        assert unread.wait(40) == 130
-    finally:
-        os.close(reading)
-        os.close(writing)
-    assert not supervisors(net, 3)
 
 
 def test_detached_machines_run_on_and_the_next_replay_adopts_them(
