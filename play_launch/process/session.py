@@ -89,15 +89,21 @@ def in_a_thread(work: Callable[[], _Result]) -> asyncio.Future[_Result]:
 
 
 async def first_of(*coroutines: Coroutine[object, object, object]) -> None:
-    """Wait until one of them has ended and cancel the others; an error is raised."""
+    """Wait until one of them has ended and cancel the others; raises what that raises."""
+    errors: list[Exception] = []
 
     async def one(coroutine: Coroutine[object, object, object]) -> None:
-        await coroutine
+        try:
+            await coroutine
+        except Exception as error:  # noqa: BLE001 - raised below, outside of the group
+            errors.append(error)
         group.cancel_scope.cancel()
 
     async with anyio.create_task_group() as group:
         for coroutine in coroutines:
             group.start_soon(one, coroutine)
+    if errors:
+        raise errors[0]
 
 
 async def _scan() -> list[ProcessStat]:

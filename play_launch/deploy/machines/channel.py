@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import time
 from typing import TYPE_CHECKING, Any, Final
@@ -152,16 +151,3 @@ class OtherClock:
             )
         elif was_off and not self._is_off:
             _log.warning("%s: its clock is right now", self._machine)
-
-
-async def first_done(*works: Awaitable[object]) -> None:
-    """Wait for the first of them, and cancel the others; raises what it raises."""
-    tasks = [asyncio.ensure_future(work) for work in works]
-    try:
-        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        for task in done:
-            task.result()
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)

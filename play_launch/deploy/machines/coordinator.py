@@ -14,11 +14,11 @@ from play_launch.config.machines import DiscoveryBy, part_of, stopped_after, use
 from play_launch.control.event_words import event_object, words_of
 from play_launch.control.protocol import Code, OperationError
 from play_launch.deploy.machines.applying import Applying
-from play_launch.deploy.machines.channel import first_done
 from play_launch.deploy.machines.hosts import HostError, LinkLost
 from play_launch.deploy.machines.part import BEGUN, OVER, Part
 from play_launch.deploy.machines.requests import Requests
 from play_launch.deploy.unit import stop_seconds
+from play_launch.process.session import first_of
 from play_launch.supervisor.events import MachineState
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class Coordinator:
         once all are up, and they run on; the next coordinator adopts them. Raises HostError when a
         machine that is not optional cannot be used; nothing was started then.
         """
-        await first_done(self._prepare_all(), stop.wait())
+        await first_of(self._prepare_all(), stop.wait())
         if stop.is_set():
             for part in self.parts.values():
                 part.close()
@@ -95,13 +95,13 @@ class Coordinator:
                 self.follow(part)
             tasks.start_soon(self._watch_for_the_end)
             if detach:
-                await first_done(stop.wait(), self._ended.wait(), self._all_loaded())
+                await first_of(stop.wait(), self._ended.wait(), self._all_loaded())
             else:
-                await first_done(stop.wait(), self._ended.wait())
+                await first_of(stop.wait(), self._ended.wait())
             self._tasks = None
             code = self._exit_code()
             if not detach or stop.is_set():
-                await first_done(self._stop(), hurry.wait())
+                await first_of(self._stop(), hurry.wait())
                 for part in self.parts.values():
                     await part.request_end()
             tasks.cancel_scope.cancel()

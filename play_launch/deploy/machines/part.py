@@ -16,8 +16,9 @@ from play_launch.config.machines import Service
 from play_launch.control.feed import USUAL_KINDS
 from play_launch.control.protocol import Code, OperationError
 from play_launch.deploy.machines.bundle import BUSY, Bundle, files_of, require_fit
-from play_launch.deploy.machines.channel import Channel, OtherClock, first_done
+from play_launch.deploy.machines.channel import Channel, OtherClock
 from play_launch.deploy.machines.hosts import HostError, LinkLost, SessionGone, about, connect
+from play_launch.process.session import first_of
 from play_launch.supervisor.events import MachineChanged, MachineState
 
 if TYPE_CHECKING:
@@ -247,13 +248,12 @@ class Part:
         try:
             # What is changed may wait for what other machines are changed to.
             request = {"path": self.bundle.source, "arguments": self._arguments}
-            await first_done(self.ask("apply", request), self._exchange())
+            await first_of(self.ask("apply", request), self._exchange())
         except OperationError as error:
             if error.code == Code.REFUSED:  # the change of an earlier connection goes on
                 raise LinkLost(str(error)) from None
-            raise HostError(
-                f"another configuration runs there, and cannot be changed to this one: {error}"
-            ) from None
+            text = "another configuration runs there, and cannot be changed to this one"
+            raise HostError(f"{text}: {error}") from None
         finally:
             self._is_adopting = False
         return self._link
