@@ -24,7 +24,9 @@ def test_parameters_keep_value_and_type(values: list[tuple[str, ParameterValue]]
     made = [ParameterConfig(*each) for each in values]
     unit = LaunchedProcess(parameters=made, sources=[Values(tuple(made), "/n")])
     written = msgspec.msgpack.encode(Description(units=[unit]))
-    (back,) = msgspec.msgpack.decode(written, type=Description | EvaluationFailure).units
+    description = msgspec.msgpack.decode(written, type=Description | EvaluationFailure)
+    assert isinstance(description, Description)
+    (back,) = description.units
     assert [(each.name, shown(each.value)) for each in back.parameters] == [
         (name, shown(value)) for name, value in values
     ]
