@@ -43,8 +43,8 @@ class SessionClock {
       return now_ns();
     }
     const auto ago = static_cast<std::int64_t>(system_now_ns()) - info.received_timestamp;
-    // Longer ago is a clock that was set in between.
-    return now_ns() - static_cast<std::uint64_t>(std::clamp(ago, std::int64_t{0}, kLongestAgo));
+    // Longer ago, or later than now, is a clock that was set in between.
+    return now_ns() - static_cast<std::uint64_t>(ago > 0 && ago < kLongestAgo ? ago : 0);
   }
 
  private:
