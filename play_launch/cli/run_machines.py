@@ -69,7 +69,9 @@ def _text(event: dict[str, Any]) -> str:
     return text_of({**event, "source": f"{machine} {source}" if machine else source})
 
 
-class _Screen(Screen[dict[str, Any]]):
+class MachinesScreen(Screen[dict[str, Any]]):
+    """Shows the events of all machines."""
+
     def show(self, event: dict[str, Any]) -> None:
         self.put(event, is_output=event["event"] == "output")
 
@@ -100,7 +102,7 @@ def run_machines(
         if not as_json:
             names = ", ".join(used_machines(config))
             say_live(f"{config.name}: {describe(config)} on {names}")
-        screen = _Screen(_Lines(as_json=as_json, quiet=quiet))
+        screen = MachinesScreen(_Lines(as_json=as_json, quiet=quiet))
         opened.callback(screen.close)
         coordinator = Coordinator(config, arguments, str(program()), screen.show, session.recorder)
         work = _until_the_end(

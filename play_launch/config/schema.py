@@ -398,7 +398,9 @@ class DocumentSection(ConfigSection):
         "main",
     )
     discovery = nested(
-        DiscoverySection, "How nodes of several machines find each other.", {"by": "peers"}
+        DiscoverySection,
+        "How nodes of several machines find each other. By default by multicast.",
+        {"by": "peers"},
     )
     containers = listed(
         ContainerSection,

@@ -24,10 +24,16 @@ class DependencySection(ConfigSection):
         "With name: a line of its output matches this regular expression.",
         "streaming at",
     )
-    node = optional(kinds.GRAPH_NAME, "This node is in the ROS graph.", "/map_server")
+    node = optional(
+        kinds.GRAPH_NAME, "This node is in the ROS graph, however it was started.", "/map_server"
+    )
     topic = optional(kinds.GRAPH_NAME, "This topic has a publisher.", "/scan")
     service = optional(kinds.GRAPH_NAME, "This service is offered.", "/map_server/load_map")
-    file = optional(kinds.FILLED_TEXT, "This file exists.", "/dev/ttyUSB0")
+    file = optional(
+        kinds.FILLED_TEXT,
+        "This file exists; a relative path starts at the folder of this one.",
+        "/dev/ttyUSB0",
+    )
     expect = optional(kinds.GRAPH_NAME, "This topic is as expect of the file says.", "/scan")
     timeout = optional(
         kinds.POSITIVE_DURATION_OR_NEVER,
@@ -186,7 +192,7 @@ class ExpectationSection(ConfigSection):
     )
     machine = optional(
         kinds.FILLED_TEXT,
-        "The one of machines where it is measured. By default that of the file.",
+        "The one of machines where it is measured. By default that of the node, or of the file.",
         "vision",
     )
 

@@ -8,8 +8,10 @@ from __future__ import annotations
 import asyncio
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
-from typing import ClassVar, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
+from weakref import WeakKeyDictionary
 
 from play_launch.supervisor.events import Stream
 
@@ -111,27 +113,70 @@ def _line(content: bytes) -> Line:
     return Line(content.decode(errors="replace"))
 
 
+class _Turns:
+    """Lets the readers of a loop read one after the other, for two thirds of its time together.
+
+    After a batch that took long, nothing is read for half as long as that. Then the pipes of
+    processes that write without pause are full, and they wait.
+    """
+
+    def __init__(self) -> None:
+        self._free_at = 0.0
+        """By `time.monotonic`."""
+        self._waiting: deque[LineReader] = deque()
+
+    def take(self, reader: LineReader) -> None:
+        """Have a reader read what has come, now or in its turn."""
+        if not self._waiting and time.monotonic() >= self._free_at:
+            self._read(reader)
+            return
+        reader.pause()
+        self._waiting.append(reader)
+        if len(self._waiting) == 1:
+            self._wait()
+
+    def _wait(self) -> None:
+        delay = max(self._free_at - time.monotonic(), 0.0)
+        asyncio.get_running_loop().call_later(delay, self._next)
+
+    def _next(self) -> None:
+        reader = self._waiting.popleft()
+        try:
+            if reader.is_open:
+                reader.resume()
+                self._read(reader)
+        finally:
+            if self._waiting:
+                self._wait()
+
+    def _read(self, reader: LineReader) -> None:
+        began = time.monotonic()
+        reader.read()
+        took = time.monotonic() - began
+        if took > _SHORT:
+            self._free_at = began + took + min(took / 2, _LONGEST)
+
+
+_turns: WeakKeyDictionary[asyncio.AbstractEventLoop, _Turns] = WeakKeyDictionary()
+
+
 class LineReader:
     """Reads a pipe on the event loop until its end and delivers lines in batches.
 
     It owns the descriptor from the start and closes it at the end of the output or on `close`.
-    Processes that write without pause have two thirds of the loop's time together: after a batch
-    nothing is read for half as long as that took. Then their pipes are full, and they wait.
+    One batch is what one read gave.
     """
-
-    _free_at: ClassVar[float] = 0.0
-    """When the next batch of any process may be read, by `time.monotonic`."""
 
     def __init__(self, descriptor: int, on_lines: LinesCallback) -> None:
         self._descriptor = descriptor
         self._on_lines = on_lines
         self._splitter = LineSplitter()
         self._size = _READ_BYTES
-        self._resumption: asyncio.TimerHandle | None = None
         self._loop = asyncio.get_running_loop()
+        self._turns = _turns.setdefault(self._loop, _Turns())
         self._ended = asyncio.Event()
         os.set_blocking(descriptor, False)
-        self._loop.add_reader(descriptor, self._read_in_turn)
+        self.resume()
 
     @property
     def is_open(self) -> bool:
@@ -151,26 +196,18 @@ class LineReader:
             return
         # As much as a pipe holds by default; an endless writer must not keep us here.
         self._size = _READ_BYTES
-        if self._read():
+        if self.read():
             self._end()
 
-    def _read_in_turn(self) -> None:
-        self._resumption = None
-        began = time.monotonic()
-        if began < LineReader._free_at:
-            self._loop.remove_reader(self._descriptor)
-            delay = LineReader._free_at - began
-            self._resumption = self._loop.call_later(delay, self._resume)
-            return
-        self._read()
-        took = time.monotonic() - began
-        if took > _SHORT:
-            LineReader._free_at = began + took + min(took / 2, _LONGEST)
+    def pause(self) -> None:
+        """Leave in the pipe what comes, up to `resume`."""
+        self._loop.remove_reader(self._descriptor)
 
-    def _resume(self) -> None:
-        self._loop.add_reader(self._descriptor, self._read_in_turn)
+    def resume(self) -> None:
+        self._loop.add_reader(self._descriptor, self._turns.take, self)
 
-    def _read(self) -> bool:
+    def read(self) -> bool:
+        """Read once, and deliver the lines; return whether more may come."""
         try:
             data = os.read(self._descriptor, self._size)
         except (BlockingIOError, InterruptedError):
@@ -188,8 +225,6 @@ class LineReader:
         return True
 
     def _end(self) -> None:
-        if self._resumption is not None:
-            self._resumption.cancel()
         self._loop.remove_reader(self._descriptor)
         os.close(self._descriptor)
         self._descriptor = -1

@@ -96,7 +96,8 @@ async def first_of(*coroutines: Coroutine[object, object, object]) -> None:
         try:
             await coroutine
         except Exception as error:  # noqa: BLE001 - raised below, outside of the group
-            errors.append(error)
+            if not group.cancel_scope.cancel_called:
+                errors.append(error)
         group.cancel_scope.cancel()
 
     async with anyio.create_task_group() as group:

@@ -6,6 +6,7 @@ import asyncio
 import os
 import re
 import time
+from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 
@@ -114,18 +115,19 @@ async def test_a_pipe_that_stays_open_is_given_up() -> None:
     os.close(write_end)
 
 
-async def test_chatterboxes_leave_the_loop_a_third_of_its_time() -> None:
+async def test_chatterboxes_leave_the_loop_a_third_of_its_time_and_take_turns() -> None:
     pipes = [os.pipe() for _ in range(3)]
     busy = 0.0
-    batches = 0
+    batches: Counter[int] = Counter()
 
     def take(write_end: int, lines: Sequence[Line]) -> None:
-        nonlocal busy, batches
+        nonlocal busy
         began = time.monotonic()
         os.write(write_end, b"y\n" * len(lines))
         while time.monotonic() - began < 0.01:
             pass  # as sinks that have much to do
-        busy, batches = busy + time.monotonic() - began, batches + 1
+        busy += time.monotonic() - began
+        batches[write_end] += 1
 
     readers = [LineReader(read_end, partial(take, write_end)) for read_end, write_end in pipes]
     for _, write_end in pipes:
@@ -133,9 +135,10 @@ async def test_chatterboxes_leave_the_loop_a_third_of_its_time() -> None:
         os.write(write_end, b"y\n" * 1000)
     began = time.monotonic()
     async with asyncio.timeout(20):
-        while batches < 30:
+        while batches.total() < 30:
             await asyncio.sleep(0)
     assert busy / (time.monotonic() - began) < 0.8
+    assert set(batches.values()) == {10}
     for reader, (_, write_end) in zip(readers, pipes, strict=True):
         reader.close()
         os.close(write_end)
