@@ -112,7 +112,7 @@ async def _fetch(recorded: Sequence[Mapping[str, Any]], places: Sequence[Path]) 
             try:
                 await host.get(about["folder"], place, _noted_now_and_then(name))
             finally:
-                host.close()
+                await host.close()
         except (HostError, LinkLost, OSError) as error:
             warn(f"{name}: its recording cannot be fetched: {error}")
             missing.add(name)

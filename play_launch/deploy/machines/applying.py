@@ -55,13 +55,13 @@ class Applying:
         try:
             await change.compare()
             if request.dry_run:
-                change.close()
+                await change.close()
                 return {"plan": change.plan, "applying": None}
             await caller.send("plan", change.plan)
             self._require_idle()
             change.begin()
         except BaseException:
-            change.close()
+            await change.close()
             raise
         # It is carried out to its end also when the client disconnects.
         self._task = task = asyncio.create_task(change.carry_out())
@@ -109,10 +109,10 @@ class _Change:
     def plan(self) -> dict[str, Any]:
         return {"steps": [step for steps in self._steps.values() for step in steps]}
 
-    def close(self) -> None:
+    async def close(self) -> None:
         """Disconnect from what was to be added; nothing is changed."""
         for part in self._added:
-            part.close()
+            await part.close()
 
     def begin(self) -> None:
         """Add the new machines, before others end: a system without a machine is over."""
@@ -219,7 +219,7 @@ class _Change:
         await part.stop(float(stop_seconds(part.config)))
         if part.state is MachineState.UNREACHABLE:
             reason = "the machine is unreachable; what runs there was left alone"
-            self._coordinator.leave(part)
+            await self._coordinator.leave(part)
         if part.state not in OVER:
             self._failures.append(f"{part.name}: it could not be stopped")
             return
@@ -232,7 +232,7 @@ class _Change:
         try:
             self._coordinator.follow(part)
         except OperationError as refusal:
-            part.close()
+            await part.close()
             part.put(MachineState.ENDED, str(refusal))
         with anyio.move_on_after(self._request.timeout) as limit:
             await part.until_not(BEGUN)

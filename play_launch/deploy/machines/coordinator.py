@@ -86,7 +86,7 @@ class Coordinator:
         await first_of(self._prepare_all(), stop.wait())
         if stop.is_set():
             for part in self.parts.values():
-                part.close()
+                await part.close()
             return ExitCode.OK
         async with anyio.create_task_group() as tasks:
             self._tasks = tasks
@@ -106,7 +106,7 @@ class Coordinator:
                     await part.request_end()
             tasks.cancel_scope.cancel()
         for part in self.parts.values():
-            part.close()
+            await part.close()
         return code
 
     def part(self, config: ReplayConfig, arguments: Sequence[str]) -> Part:
@@ -190,13 +190,13 @@ class Coordinator:
                 tasks.start_soon(prepare, part)
         if any(not part.machine.optional for part in problems):
             for part in parts:
-                part.close()
+                await part.close()
             lines = (f"machine {part.name}: {problems[part]}" for part in parts if part in problems)
             raise HostError("\n".join(lines))
         for part, problem in problems.items():
             _log.warning("%s: %s; the others start without it", part.name, problem)
             part.reason = problem
-            part.close()
+            await part.close()
         return list(problems)
 
     async def _share_addresses(self) -> None:
@@ -236,10 +236,10 @@ class Coordinator:
             raise OperationError(Code.REFUSED, "the system is being started, or stopped")
         return self._tasks
 
-    def leave(self, part: Part) -> None:
+    async def leave(self, part: Part) -> None:
         """Accompany a part no longer; what may run there goes on."""
         self._followed[part].cancel()
-        part.close()
+        await part.close()
         part.put(MachineState.ENDED, "it was removed while it was unreachable")
 
     def _fail(self, part: Part, error: Exception) -> None:

@@ -16,6 +16,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
+import anyio
+
 from play_launch import UserError
 
 if TYPE_CHECKING:
@@ -33,6 +35,7 @@ _WINDOW: Final = 32 * 1024
 writes more than the link carries."""
 _COMMAND_LIMIT: Final = 60.0
 """Seconds for a command: the check of a configuration from a cold disk."""
+_CLOSE_LIMIT: Final = 1.0
 _ABOUT: Final = """\
 printf '%s\\n' "$HOME" "$(cat /proc/sys/kernel/random/boot_id)" \
 "${PLAY_LAUNCH_SESSIONS_DIR:-/dev/shm/play_launch-$(id -u)}"
@@ -101,7 +104,7 @@ class Host(Protocol):
         """Connect to the socket of a session; raises SessionGone where nothing listens."""
         ...
 
-    def close(self) -> None: ...
+    async def close(self) -> None: ...
 
 
 async def about(host: Host) -> About:
@@ -202,7 +205,7 @@ class LocalHost:
             os.close(folder)
         return await asyncio.open_unix_connection(sock=connection)
 
-    def close(self) -> None:
+    async def close(self) -> None:
         """Do nothing: there is no connection."""
 
 
@@ -298,8 +301,11 @@ class SshHost:
             except asyncssh.ChannelOpenError as error:
                 raise SessionGone(error.reason) from None
 
-    def close(self) -> None:
+    async def close(self) -> None:
         self._connection.close()
+        # asyncio warns of the program of a ProxyCommand that outlives the event loop.
+        with anyio.move_on_after(_CLOSE_LIMIT, shield=True):
+            await self._connection.wait_closed()
 
     @contextlib.contextmanager
     def _losses(self) -> Any:

@@ -150,7 +150,7 @@ class Part:
             await self.adopt(self.config, self.bundle)
             await self._attach(await self._adopted() or await self._start())
         except LinkLost as lost:
-            self._lose(lost)
+            await self._lose(lost)
         while self.state is not MachineState.ENDED:
             try:
                 if self.state is MachineState.UNREACHABLE:
@@ -158,7 +158,7 @@ class Part:
                 if self.state is MachineState.RUNNING:
                     await self._follow()
             except LinkLost as lost:
-                self._lose(lost)
+                await self._lose(lost)
         with contextlib.suppress(LinkLost):  # its recording is closed
             await self.host.run(_UNTIL_GONE.format(pid=int(self.hello["pid"])))
 
@@ -178,10 +178,10 @@ class Part:
             self.changed.clear()
             await self.changed.wait()
 
-    def close(self) -> None:
-        if self._host is not None:
-            self._host.close()
-        self._host = None
+    async def close(self) -> None:
+        host, self._host = self._host, None
+        if host is not None:
+            await host.close()
 
     async def bring(self, part: ReplayConfig, arguments: Sequence[str] | None = None) -> Bundle:
         """Copy what a configuration needs there, unless it is there; nothing is changed yet.
@@ -414,10 +414,10 @@ class Part:
 
     # A machine that is lost.
 
-    def _lose(self, lost: LinkLost) -> None:
+    async def _lose(self, lost: LinkLost) -> None:
         if self.state is not MachineState.UNREACHABLE:
             self.put(MachineState.UNREACHABLE, f"the connection is lost: {lost}")
-        self.close()
+        await self.close()
 
     async def _return(self) -> None:
         """Connect again, as often as it takes, and attach to what runs there."""
@@ -429,7 +429,7 @@ class Part:
                 self._about = await about(self._host)
                 break
             except (LinkLost, HostError) as error:
-                self.close()
+                await self.close()
                 self.reason = str(error)
                 await asyncio.sleep(pause)
                 pause = min(2 * pause, longest)
