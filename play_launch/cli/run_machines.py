@@ -19,14 +19,14 @@ from play_launch.cli.events import text_of
 from play_launch.cli.output import report, say_live, warn
 from play_launch.cli.show.display import Screen, Style, encode
 from play_launch.cli.systemd_unit import program
-from play_launch.config.machines import discovery_problems, used_machines
+from play_launch.config.machines import MachineConfig, discovery_problems, used_machines
 from play_launch.control.event_words import event_object, words_of
 from play_launch.control.registration import ControlSocket
 from play_launch.control.serve import hello_of
 from play_launch.control.server import serving
 from play_launch.deploy.machines.coordinator import Coordinator
 from play_launch.deploy.machines.hosts import HostError
-from play_launch.recording.folder import MACHINES
+from play_launch.recording.folder import MACHINES, age_in
 from play_launch.recording.log_handler import log_published
 from play_launch.recording.session import announce, open_session
 from play_launch.runtime.signals import RunSignals, StopRequests
@@ -137,6 +137,7 @@ async def _until_the_end(
     config = coordinator.config
     hello = hello_of(config, session, control)
     machines = Path(control.folder) / MACHINES
+    left = await asyncio.to_thread(_left_running, session.folder, config.name)
 
     def note_recordings() -> None:
         half = machines.with_name(f"{MACHINES}.new")
@@ -157,7 +158,7 @@ async def _until_the_end(
         code: int = ExitCode.OK
         async with serving(control, hello, coordinator.requests), page:
             try:
-                code = await coordinator.run(stop.requested, stop.hurry, detach=detach)
+                code = await coordinator.run(stop.requested, stop.hurry, left=left, detach=detach)
             except HostError as error:
                 problem = error  # not within the group of tasks, which would wrap it
         if problem is not None:
@@ -166,3 +167,32 @@ async def _until_the_end(
         announce(session.folder)  # that of the local part was announced since
         await asyncio.sleep(0)  # the last records of the log
     return code if stop.signum is None or code else ExitCode.SIGNAL_BASE + stop.signum
+
+
+def _left_running(folder: Path, system: str) -> list[MachineConfig]:
+    """Find the machines on which something may run that an earlier session has left there.
+
+    That is the latest session of the system beside this one: one that was detached or killed.
+    """
+    from play_launch.postmortem.archive import session_entry  # noqa: PLC0415 - slow
+
+    names = sorted(
+        (each.parent.name for each in folder.parent.glob(f"*/{MACHINES}")),
+        key=age_in(folder.parent),
+        reverse=True,
+    )
+    for name in names:
+        try:
+            recorded = json.loads((folder.parent / name / MACHINES).read_text())
+            if name == folder.name or any(each["system"] != system for each in recorded):
+                continue
+            if (entry := session_entry(folder.parent / name)) is not None and entry.is_running:
+                return []  # its coordinator lives
+            return [
+                MachineConfig(name=each["machine"], local=each["local"], ssh=each["ssh"])
+                for each in recorded
+                if each["may_run"]
+            ]
+        except (OSError, ValueError, LookupError, TypeError):
+            continue  # of an older version, or changed by hand
+    return []

@@ -217,7 +217,16 @@ def test_detached_machines_run_on_and_the_next_replay_adopts_them(
         # What came to h2 waits for what came to h3.
         assert (rows["/listener"]["machine"], rows["/talker"]["machine"]) == ("h2", "h3")
         assert (supervisors(net, 2), supervisors(net, 3)) == pids
-        heir.stop()
+        heir.process.kill()
+        heir.process.wait()
+    lines = config.read_text().replace("machine: h3", "machine: h2").splitlines()
+    config.write_text("\n".join(each for each in lines if not each.startswith("  h3:")))
+    with running(net, config) as smaller:
+        rows = smaller.loaded().rows()
+        assert rows["/talker"]["machine"] == "h2"
+        assert "h3: what an earlier run has left there was ended" in smaller.printed()
+        assert (supervisors(net, 2), supervisors(net, 3)) == (pids[0], [])
+        smaller.stop()
 
 
 def test_on_exit_shutdown_of_one_machine_ends_all(net: Hosts, tmp_path: Path) -> None:

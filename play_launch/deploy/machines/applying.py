@@ -132,14 +132,14 @@ class _Change:
         for part in kept:
             self._kept[part] = await self._brought(part)
         for part in self._removed:
-            found = plan(part.config, _without_units(part.config))
+            found = plan(part.config, without_units(part.config))
             self._steps[part.name] = _steps_of_units(found, part)
         for part, bundle in self._kept.items():
             asked = {**self._changes(bundle), "dry_run": True}
             answer = await self._coordinator.requests.result(part, "apply", asked, self._caller)
             self._steps[part.name] = _steps(answer["plan"]["steps"], part)
         for part in self._added:
-            found = plan(_without_units(part.config), part.config)
+            found = plan(without_units(part.config), part.config)
             self._steps[part.name] = _steps_of_units(found, part)
 
     def _refuse_what_cannot_change(self, kept: list[Part], added: list[str]) -> None:
@@ -223,7 +223,7 @@ class _Change:
         if part.state not in OVER:
             self._failures.append(f"{part.name}: it could not be stopped")
             return
-        part.config, part.rows, part.met = _without_units(part.config), [], []
+        part.config, part.rows, part.met = without_units(part.config), [], []
         self._all_done(part, {}, reason, anyio.current_time() - began)
 
     async def _add(self, part: Part) -> None:
@@ -277,7 +277,7 @@ class _Change:
             )
 
 
-def _without_units(config: ReplayConfig) -> ReplayConfig:
+def without_units(config: ReplayConfig) -> ReplayConfig:
     return replace(config, containers=(), nodes=(), start_rules={}, managed={})
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
+import shlex
 import time
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,9 +21,11 @@ from play_launch.deploy.machines.hosts import LinkLost, SessionGone
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 
-    from play_launch.deploy.machines.hosts import Host, Reader
+    from play_launch.deploy.machines.hosts import About, Host, Reader
 
 _PIECE: Final = 64 * 1024
+_HELLO: Final = 5.0
+"""Seconds for the first message of a session."""
 _SAMPLES: Final = 8
 """Measurements of a clock, of which the one with the shortest round trip counts."""
 _NOTABLE_NS: Final = 1_000_000
@@ -105,6 +109,32 @@ class Channel:
             *self._lines, rest = bytes(self._rest).split(b"\n")
             self._rest = bytearray(rest)
         return decode(self._lines.pop(0))
+
+
+async def links_of(host: Host, about: About) -> list[str]:
+    """Return the links of the sessions of a machine, the latest first; raises LinkLost."""
+    output = await host.run(f"ls -t {shlex.quote(about.links)} 2> /dev/null; true")
+    return [f"{about.links}/{name}" for name in output.stdout.split() if name[0] != "."]
+
+
+async def session_of(host: Host, about: About, machine: str, system: str) -> str:
+    """Return the link of the session that runs a machine's part of a system; empty without one.
+
+    Raises LinkLost.
+    """
+    for link in await links_of(host, about):
+        try:
+            async with asyncio.timeout(_HELLO):
+                channel = await Channel.open(host, link)
+        except (SessionGone, OperationError):
+            continue
+        except TimeoutError:
+            # It may be the one, and must not be started twice.
+            raise LinkLost("a session there does not answer") from None
+        channel.close()
+        if channel.hello.get("machine") == machine and channel.hello["name"] == system:
+            return link
+    return ""
 
 
 class OtherClock:

@@ -8,12 +8,13 @@ import logging
 from typing import TYPE_CHECKING, Any, Final
 
 import anyio
+from msgspec.structs import replace
 
 from play_launch import ExitCode
 from play_launch.config.machines import DiscoveryBy, part_of, stopped_after, used_machines
 from play_launch.control.event_words import event_object, words_of
 from play_launch.control.protocol import Code, OperationError
-from play_launch.deploy.machines.applying import Applying
+from play_launch.deploy.machines.applying import Applying, without_units
 from play_launch.deploy.machines.hosts import HostError, LinkLost
 from play_launch.deploy.machines.part import BEGUN, OVER, Part
 from play_launch.deploy.machines.requests import Requests
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
     from anyio.abc import TaskGroup
 
+    from play_launch.config.machines import MachineConfig
     from play_launch.config.model import ReplayConfig
     from play_launch.recording.recorder import Recorder
     from play_launch.supervisor.events import MachineChanged, RunEvent
@@ -70,20 +72,30 @@ class Coordinator:
             name: self.part(part_of(config, name), arguments) for name in used_machines(config)
         }
         """By machine; one that was removed stays as it ended."""
+        self._left: set[str] = set()
+        """Machines on which something of the system may run."""
         self._recordings: dict[str, dict[str, Any]] = {}
         """By session: one that was killed, and one of a machine that was removed, is kept."""
         self.requests = Requests(self.parts, Applying(self))
         self.on_change: Callable[[], None] = lambda: None
         """Called when the state of a machine has changed."""
 
-    async def run(self, stop: asyncio.Event, hurry: asyncio.Event, *, detach: bool = False) -> int:
+    async def run(
+        self,
+        stop: asyncio.Event,
+        hurry: asyncio.Event,
+        *,
+        left: Sequence[MachineConfig] = (),
+        detach: bool = False,
+    ) -> int:
         """Bring all machines up, accompany them until ``stop`` or their end; return the exit code.
 
-        With ``hurry`` it waits for no machine that is being stopped. With ``detach`` it returns
-        once all are up, and they run on; the next coordinator adopts them. Raises HostError when a
-        machine that is not optional cannot be used; nothing was started then.
+        What runs on machines of ``left``, of an earlier run, is ended first where they are not in
+        the configuration. With ``hurry`` it waits for no machine that is being stopped. With
+        ``detach`` it returns once all are up, and they run on; the next coordinator adopts them.
+        Raises HostError when a machine that is not optional cannot be used; nothing was started.
         """
-        await first_of(self._prepare_all(), stop.wait())
+        await first_of(self._begin(left), stop.wait())
         if stop.is_set():
             for part in self.parts.values():
                 await part.close()
@@ -122,6 +134,8 @@ class Coordinator:
         )
 
     def _note(self, change: MachineChanged) -> None:
+        is_over = change.state is MachineState.ENDED
+        (self._left.discard if is_over else self._left.add)(change.machine)
         self.publish(change)
         self._changed.set()
 
@@ -146,7 +160,10 @@ class Coordinator:
                     "folder": part.hello["folder"],
                     "offsets": part.clock.offsets,
                 }
-        return [*self._recordings.values()]
+        return [
+            {**each, "system": self.config.name, "may_run": each["machine"] in self._left}
+            for each in self._recordings.values()
+        ]
 
     async def _all_loaded(self) -> None:
         """Wait until all units of all machines are up, or failed for good."""
@@ -161,6 +178,25 @@ class Coordinator:
                 tasks.start_soon(loaded, part)
 
     # Start and end.
+
+    async def _begin(self, left: Sequence[MachineConfig]) -> None:
+        await self._prepare_all()
+        async with anyio.create_task_group() as tasks:
+            for machine in left:
+                if machine.name not in self.parts:
+                    tasks.start_soon(self._end_earlier, machine)
+
+    async def _end_earlier(self, machine: MachineConfig) -> None:
+        config = replace(without_units(self.config), machines={machine.name: machine})
+        part = self.part(replace(config, machine=machine.name), ())
+        try:
+            if await part.end_earlier():
+                _log.warning("%s: what an earlier run has left there was ended", machine.name)
+        except (HostError, LinkLost, OperationError) as error:
+            text = "%s: what an earlier run has left there may run on: %s"
+            _log.warning(text, machine.name, error)
+        finally:
+            await part.close()
 
     async def _prepare_all(self) -> None:
         for part in await self.prepare(tuple(self.parts.values())):
@@ -241,6 +277,7 @@ class Coordinator:
         self._followed[part].cancel()
         await part.close()
         part.put(MachineState.ENDED, "it was removed while it was unreachable")
+        self._left.add(part.name)
 
     def _fail(self, part: Part, error: Exception) -> None:
         self._failures[part.name] = str(error)

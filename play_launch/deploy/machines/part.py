@@ -16,7 +16,7 @@ from play_launch.config.machines import Service
 from play_launch.control.feed import USUAL_KINDS
 from play_launch.control.protocol import Code, OperationError
 from play_launch.deploy.machines.bundle import BUSY, Bundle, files_of, require_fit
-from play_launch.deploy.machines.channel import Channel, OtherClock
+from play_launch.deploy.machines.channel import Channel, OtherClock, links_of, session_of
 from play_launch.deploy.machines.hosts import HostError, LinkLost, SessionGone, about, connect
 from play_launch.process.session import first_of
 from play_launch.supervisor.events import MachineChanged, MachineState
@@ -34,8 +34,6 @@ _RETRY: Final = (0.25, 5.0)
 _APPEARS: Final = 60.0
 """Seconds from the start of a session until its socket exists, on a cold disk."""
 _POLL: Final = 0.1
-_HELLO: Final = 5.0
-"""Seconds for the first message of a session."""
 _AGAIN: Final = 1.0
 """Seconds before a session that refused a request is followed again."""
 _CLOCK_PERIOD: Final = 30.0
@@ -173,6 +171,22 @@ class Part:
         with contextlib.suppress(LinkLost, OperationError):
             await self.ask("end")
 
+    async def end_earlier(self) -> bool:
+        """End what an earlier coordinator has left running there; return whether there was any.
+
+        Raises HostError, LinkLost and OperationError.
+        """
+        await self._connect()
+        if not (link := await self._running()):
+            return False
+        channel = await Channel.open(self.host, link)
+        try:
+            await channel.ask("end")
+        finally:
+            channel.close()
+        await self.host.run(_UNTIL_GONE.format(pid=int(channel.hello["pid"])))
+        return True
+
     async def until_not(self, states: Container[MachineState]) -> None:
         while self.state in states:
             self.changed.clear()
@@ -223,20 +237,8 @@ class Part:
 
     async def _running(self) -> str:
         """Return the link of a session of this part that runs already; empty if there is none."""
-        for link in await self._links():
-            try:
-                async with asyncio.timeout(_HELLO):
-                    channel = await Channel.open(self.host, link)
-            except (SessionGone, OperationError):
-                continue
-            except TimeoutError:
-                # It may be this part's, which must not be started twice.
-                raise LinkLost("a session there does not answer") from None
-            hello = channel.hello
-            channel.close()
-            if hello.get("machine") == self.name and hello["name"] == self.config.name:
-                return link
-        return ""
+        assert self._about is not None
+        return await session_of(self.host, self._about, self.name, self.config.name)
 
     async def _adopted(self) -> str:
         """Bring a session that runs already to this configuration; return its link, if any."""
@@ -263,12 +265,6 @@ class Part:
         await self.tell(self.told)
         await self._conditions()
         raise SessionGone
-
-    async def _links(self) -> list[str]:
-        """Return the links of sessions there, the latest first."""
-        assert self._about is not None
-        output = await self.host.run(f"ls -t {shlex.quote(self._about.links)} 2> /dev/null; true")
-        return [f"{self._about.links}/{name}" for name in output.stdout.split() if name[0] != "."]
 
     async def _start(self) -> str:
         """Start the session and return its link."""
@@ -397,7 +393,8 @@ class Part:
         if link := await self._running():
             await self._attach(link)
             return
-        if self._link not in await self._links():
+        assert self._about is not None
+        if self._link not in await links_of(self.host, self._about):
             # A session that ends in order removes its link when nothing of it runs any more.
             self.put(MachineState.ENDED, "its session has ended")
             return
