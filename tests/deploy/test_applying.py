@@ -236,3 +236,27 @@ def test_what_fails_on_a_new_machine_is_told_and_the_rest_stays(net: Hosts, tmp_
         config.write_text(whole.replace("Nothing", "Listener"))
         partly.ask("apply", str(config))
         partly.stop(code=130)
+
+
+@pytest.mark.parametrize("rolls_back", [False, True])
+def test_what_has_failed_is_tried_again_by_a_new_supervisor(
+    net: Hosts, tmp_path: Path, rolls_back: bool
+) -> None:
+    config = system(tmp_path, "again")
+    with running(net, config) as again:
+        before = again.loaded().rows()
+        config.write_text(config.read_text().replace("Listener", "Nothing"))
+        back = ["--rollback-on-failure"] if rolls_back else []
+        again.ask("apply", *back, str(config), code=1)
+        for pid in supervisors(net, 3):
+            os.kill(pid, signal.SIGKILL)
+
+        def is_back() -> bool:
+            rows = again.rows()
+            is_new = rows["/ticks"]["pid"] not in {None, before["/ticks"]["pid"]}
+            return is_new and rows["/listener"]["state"] in {"loaded", "load failed"}
+
+        until(is_back, "its return")
+        state = again.rows()["/listener"]["state"]
+        assert state == ("loaded" if rolls_back else "load failed")
+        again.stop(code=130 if rolls_back else 1)

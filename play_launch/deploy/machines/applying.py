@@ -203,12 +203,22 @@ class _Change:
     async def _change(self, part: Part, bundle: Bundle) -> None:
         asked = {**self._changes(bundle), "dry_run": False}
         requests = self._coordinator.requests
+        stays = False
         try:
             async for message in requests.stream(part, "apply", asked, self._caller):
+                stays = True
                 if "step" in message:
                     message["step"]["step"]["machine"] = part.name
                     self._ended(message["step"])
-            await part.adopt(part_of(self._target, part.name), bundle)
+        except OperationError as error:
+            self._failures.append(f"{part.name}: {error}")
+            applied = error.details.get("applied")
+            stays = stays and not (isinstance(applied, dict) and applied.get("rollback"))
+        if not stays:
+            return
+        part.take(part_of(self._target, part.name), bundle)
+        try:
+            await part.adopt(part.config, bundle)
             await part.refresh()
         except (OperationError, LinkLost) as error:
             self._failures.append(f"{part.name}: {error}")
