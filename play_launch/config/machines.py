@@ -7,6 +7,7 @@ their machine is in them, and the coordinator reports when they are met.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping  # noqa: TC003 - msgspec reads annotations
 from enum import StrEnum
 from pathlib import Path  # noqa: TC003 - msgspec reads annotations
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 
 AWAITED_ELSEWHERE: Final = "(other machines)"
 """Key in the start rules of a part: the conditions that units on other machines wait for."""
+PARTS: Final = ".cache/play-launch/parts"
+"""Below the home folder of a machine: copies of its part, each in a folder named by its content."""
+_COPY: Final = re.compile(rf"(/{re.escape(PARTS)}/[^/]+)-[0-9a-f]{{16}}/")
 _MOST_PROCESSES: Final = 32
 """Participants of a machine that peers of Fast DDS find; further ones are never found."""
 
@@ -105,6 +109,11 @@ def part_of(config: ReplayConfig, machine: str) -> ReplayConfig:
             {topic: each for topic, each in config.expect.items() if each.machine == machine}
         ),
     )
+
+
+def in_any_copy(value: object) -> str:
+    """Describe a value of a part so that it is the same whichever copy of the part it is from."""
+    return _COPY.sub(r"\1/", repr(value))
 
 
 def asked(dependency: Dependency) -> Dependency:

@@ -11,6 +11,7 @@ from msgspec import Struct
 from msgspec.structs import asdict, replace
 
 from play_launch.config.description import described
+from play_launch.config.machines import in_any_copy
 from play_launch.config.model import ComposableNodeConfig, ContainerConfig, ProcessConfig
 
 if TYPE_CHECKING:
@@ -352,8 +353,11 @@ def differences(kind: PlanKind, before: _Config, after: _Config) -> Iterator[Ite
         if key in _NO_DIFFERENCE[kind] or was == is_:
             continue
         was, is_ = described(key, was), described(key, is_)
+        has_moved = in_any_copy(was) == in_any_copy(is_)
+        if has_moved and kind is PlanKind.SESSION:
+            continue
         if key != _PARAMETERS:
-            need = Need.NOTHING if key in _TAKEN_OVER[kind] else _SAFE[kind]
+            need = Need.NOTHING if has_moved or key in _TAKEN_OVER[kind] else _SAFE[kind]
             yield from _values(key, was, is_, need)
             continue
         for name in dict.fromkeys((*was, *is_)):

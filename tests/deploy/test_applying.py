@@ -260,3 +260,32 @@ def test_what_has_failed_is_tried_again_by_a_new_supervisor(
         state = again.rows()["/listener"]["state"]
         assert state == ("loaded" if rolls_back else "load failed")
         again.stop(code=130 if rolls_back else 1)
+
+
+def test_a_program_that_is_to_be_copied_comes_with_the_change(net: Hosts, tmp_path: Path) -> None:
+    tool = tmp_path / "tool"
+    tool.write_text("#!/bin/sh\nexec sleep 1000\n")
+    tool.chmod(0o755)
+    config = system(tmp_path, "tools")
+    here = config.read_text().replace(
+        "machine: h3\n    command", "machine: h3\n    cwd: .\n    command"
+    )
+    config.write_text(here)
+    with running(net, config) as tools:
+        before = tools.loaded().rows()
+        config.write_text(
+            here.replace("lost_after: 1 s}\ncont", "lost_after: 1 s, copy: [tool]}\ncont")
+            + "  - {name: tool, machine: h3, cwd: ., command: [./tool]}\n"
+        )
+        tools.ask("apply", str(config))
+        until(lambda: tools.rows()["/tool"]["state"] == "running", "the program")
+        assert tools.rows()["/ticks"]["pid"] == before["/ticks"]["pid"]
+        # The folder in which the session runs is kept, however many copies follow.
+        for number in range(7):
+            with config.open("a") as file:
+                file.write(f"# {number}\n")
+            tools.ask("diff", str(config), code=None)
+        (supervisor,) = supervisors(net, 3)
+        assert Path(f"/proc/{supervisor}/cwd").readlink().is_dir()
+        assert len([*net.folder.glob("home3/.cache/play-launch/parts/*")]) < 12
+        tools.stop()

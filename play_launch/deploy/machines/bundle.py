@@ -11,7 +11,7 @@ import shlex
 import tarfile
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.machines import Service
+from play_launch.config.machines import PARTS, Service
 from play_launch.control.protocol import PROTOCOL
 from play_launch.deploy.machines.hosts import HostError
 from play_launch.deploy.unit import stop_seconds
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
     from play_launch.deploy.machines.hosts import Host
 
-_PARTS: Final = ".cache/play-launch/parts"
-"""Below the home folder of a machine."""
 _ANY_HASH: Final = "?" * 16
 _KEPT: Final = 6
 """One more than the copies of a part that stay on its machine."""
@@ -100,7 +98,7 @@ class Bundle:
         self._hash = digest.hexdigest()[:16]
         kept = (each if each.isascii() and each.isalnum() else "-" for each in part.name)
         self.unit = f"{''.join(kept)}-{part.machine}"
-        self.folder = f"{home}/{_PARTS}/{self.unit}-{self._hash}"
+        self.folder = f"{home}/{PARTS}/{self.unit}-{self._hash}"
         source = str(part.source.absolute())
         self.source = source if self.machine.local else f"{self.folder}/files{source}"
         """Path of the configuration there."""
@@ -126,15 +124,18 @@ class Bundle:
             raise HostError(f"files cannot be written there: {done.stderr or done.stdout}")
 
     def clean_up_command(self) -> str:
-        """Return a command that removes earlier copies, all but a few, and the one in use."""
+        """Return a command that removes earlier copies, all but a few, and those in use."""
+        # Processes may run in one that is not the latest.
+        places = "readlink /proc/[0-9]*/cwd 2> /dev/null"
+        names = f"""{places} | sed -n "s|^$(pwd -P)/\\([^/]*\\)/.*|\\1|p\""""
         return (
-            f'cd "$HOME/{_PARTS}" && ls -dt {self.unit}-{_ANY_HASH} '
-            f'| grep -vxF "$(readlink {self.unit})" | tail -n +{_KEPT} | xargs -r rm -rf'
+            f'cd "$HOME/{PARTS}" && ls -dt {self.unit}-{_ANY_HASH} '
+            f'| grep -vxF "$(readlink {self.unit}; {names})" | tail -n +{_KEPT} | xargs -r rm -rf'
         )
 
     def adopt_command(self) -> str:
         """Return a command by which this is what is started from now on, by systemd as well."""
-        return f'cd "$HOME/{_PARTS}" && ln -sfn {self.unit}-{self._hash} {self.unit}'
+        return f'cd "$HOME/{PARTS}" && ln -sfn {self.unit}-{self._hash} {self.unit}'
 
     def script(self, command: str, *, lock: bool = False) -> str:
         """Write a script that becomes a play-launch of the part, in the machine's environment.

@@ -203,15 +203,15 @@ class Part:
         Raises HostError and LinkLost.
         """
         assert self._about is not None
-        files = await asyncio.to_thread(files_of, part, self.machine.copy)
-        bundle = Bundle(
-            part,
-            self._arguments if arguments is None else tuple(arguments),
-            files,
-            home=self._about.home,
-            program=self._program,
-            peers=self.peers,
-        )
+        home = self._about.home
+
+        def packed() -> tuple[Bundle, dict[str, bytes]]:
+            files = files_of(part, part.machines[part.machine].copy)
+            given = self._arguments if arguments is None else tuple(arguments)
+            program, peers = self._program, self.peers
+            return Bundle(part, given, files, home=home, program=program, peers=peers), files
+
+        bundle, files = await asyncio.to_thread(packed)
         await bundle.bring(self.host, files)
         return bundle
 
