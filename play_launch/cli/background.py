@@ -93,12 +93,16 @@ class Background(Struct):
             yield
 
     async def _report(self) -> None:
-        if self.options.manager is not None:
-            from play_launch.deploy.report import ServiceReport  # noqa: PLC0415 - for services only
+        if self.options.manager is None:
+            return
+        from play_launch.deploy.report import ServiceReport, seen_of  # noqa: PLC0415 - for services
 
-            await ServiceReport(
-                self.options.manager, self.publisher, self.stop, self.system, self.operable
-            ).run()
+        look = partial(seen_of, self.publisher, self.stop, self.system, self.operable)
+        report = ServiceReport(self.options.manager, self.stop, look)
+        self.publisher.add_sink(report)
+        for each in (self.system, self.operable):
+            each.add_done_callback(lambda _: report.changed.set())
+        await report.run()
 
     async def _system_is_up(self) -> None:
         """Leave the start of the system to itself."""

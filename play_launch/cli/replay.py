@@ -112,6 +112,7 @@ def bring_up(
             as_json=as_json,
             quiet=quiet,
             detach=detach,
+            manager=manager,
         )
     if detach:
         fail("--detach is for configurations with machines; a systemd unit runs a single one")

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from play_launch.config.model import ReplayConfig
+    from play_launch.deploy.notification import ServiceManager
     from play_launch.recording.session import Session, SessionDescription
     from play_launch.supervisor.events import LogRecord, OutputLine
 
@@ -88,6 +89,7 @@ def run_machines(
     as_json: bool,
     quiet: bool,
     detach: bool,
+    manager: ServiceManager | None = None,
 ) -> int:
     """Bring the system up on its machines, keep it until its end, and return the exit code."""
     for each in discovery_problems(config, os.environ):
@@ -106,7 +108,13 @@ def run_machines(
         opened.callback(screen.close)
         coordinator = Coordinator(config, arguments, str(program()), screen.show, session.recorder)
         work = _until_the_end(
-            coordinator, session, control, signals, screen.show_output, detach=detach
+            coordinator,
+            session,
+            control,
+            signals,
+            screen.show_output,
+            detach=detach,
+            manager=manager,
         )
         try:
             return asyncio.run(work)
@@ -123,6 +131,7 @@ async def _until_the_end(
     show: Callable[[OutputLine], None],
     *,
     detach: bool,
+    manager: ServiceManager | None,
 ) -> int:
     gc.enable()  # see `entry`
     loop = asyncio.get_running_loop()
@@ -148,6 +157,18 @@ async def _until_the_end(
             _log.warning("the recordings of the machines cannot be listed: %s", error.strerror)
 
     coordinator.on_change = note_recordings
+    reports: contextlib.AbstractAsyncContextManager[None] = contextlib.nullcontext()
+    if manager is not None:
+        from play_launch.deploy.report import ServiceReport  # noqa: PLC0415 - for services only
+
+        report = ServiceReport(manager, stop, coordinator.seen)
+
+        def on_change() -> None:
+            note_recordings()
+            report.changed.set()
+
+        coordinator.on_change = on_change
+        reports = going_on("reports to systemd", report.run())
     page: contextlib.AbstractAsyncContextManager[None] = contextlib.nullcontext()
     if config.web is not None:
         from play_launch.cli.web import run_page  # noqa: PLC0415
@@ -156,7 +177,7 @@ async def _until_the_end(
     with log_published(publish_log), signals.delivered_to(stop.request):
         problem: HostError | None = None
         code: int = ExitCode.OK
-        async with serving(control, hello, coordinator.requests), page:
+        async with reports, serving(control, hello, coordinator.requests), page:
             try:
                 code = await coordinator.run(stop.requested, stop.hurry, left=left, detach=detach)
             except HostError as error:

@@ -90,6 +90,17 @@ def health(row: UnitRow) -> Health:
     return _HEALTH.get(row.state, Health.CHANGING)
 
 
+def health_counts(rows: Sequence[UnitRow]) -> str:
+    """Summarise the system: ``7 of 9 up, 1 failed, 1 inactive``."""
+    states = [health(row) for row in rows]
+    others = [
+        f"{states.count(each)} {each}"
+        for each in Health
+        if each in states and each is not Health.UP
+    ]
+    return ", ".join([f"{states.count(Health.UP)} of {len(rows)} up", *others])
+
+
 def members_of(view: SystemView, processes: Iterable[str]) -> list[Target]:
     return list(dict.fromkeys([*view.containers, *processes, *view.processes]))
 

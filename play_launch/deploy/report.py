@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import anyio
 from msgspec import Struct, field
@@ -19,7 +19,7 @@ from play_launch.supervisor.events import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from play_launch.deploy.notification import ServiceManager
     from play_launch.runtime.publisher import Publisher
@@ -37,24 +37,51 @@ _STATUS_LIMIT: Final = 400
 """Characters."""
 
 
+class Seen(NamedTuple):
+    """What is reported of a system."""
+
+    is_up: bool = False
+    """Whether all of it was there once, or has failed for good, and commands reach it."""
+    pending: Sequence[str] = ()
+    """What has to be there first."""
+    is_changing: bool = False
+    """Whether another configuration is being applied."""
+    health_problem: str = ""
+    summary: str = ""
+    """What runs, and what has failed."""
+
+
+def seen_of(
+    publisher: Publisher,
+    stop: StopRequests,
+    begun: asyncio.Future[System],
+    operable: asyncio.Future[None],
+) -> Seen:
+    """Look at the system of this process.
+
+    ``operable`` is done when commands reach the session, or never will: a manager may request a
+    reload as soon as the service is ready.
+    """
+    summary = summary_of(publisher.view)
+    if not begun.done() or begun.cancelled():
+        return Seen(summary=summary)
+    system = begun.result()
+    is_up = not system.pending and (operable.done() or stop.requested.is_set())
+    problem = system.health_problem()
+    return Seen(is_up, system.pending, system.is_changing, problem, summary)
+
+
 class ServiceReport(Struct, eq=False):
     """Reports by a task of the event loop, to the watchdog only without a health problem."""
 
     manager: ServiceManager
-    publisher: Publisher
     stop: StopRequests
-    begun: asyncio.Future[System]
-    operable: asyncio.Future[None]
-    """Done when commands reach the session, or never will: a manager may request a reload as soon
-    as the service is ready."""
+    look: Callable[[], Seen]
     state: str = "starting"
     """starting, ready, reloading or stopping."""
     status: str = ""
     health_problem: str = ""
     changed: asyncio.Event = field(default_factory=asyncio.Event)
-
-    def __post_init__(self) -> None:
-        self.publisher.add_sink(self)
 
     @property
     def _interval(self) -> float:
@@ -68,8 +95,7 @@ class ServiceReport(Struct, eq=False):
     async def run(self) -> None:
         """Report until this is cancelled, and then once more."""
         requested = asyncio.ensure_future(self.stop.requested.wait())
-        for each in (requested, self.begun, self.operable):
-            each.add_done_callback(lambda _: self.changed.set())
+        requested.add_done_callback(lambda _: self.changed.set())
         try:
             while True:
                 self._report()
@@ -86,38 +112,34 @@ class ServiceReport(Struct, eq=False):
 
     def _report(self) -> None:
         """Send what is new; a message that is not accepted is sent again."""
-        has_begun = self.begun.done() and not self.begun.cancelled()
-        system = self.begun.result() if has_begun else None
-        pending = () if system is None else system.pending
+        seen = self.look()
         ends = self.stop.requested.is_set()
-        is_up = system is not None and not pending and (self.operable.done() or ends)
-        is_changing = system is not None and system.is_changing
-        if self.state == "starting" and is_up:  # also if it stops at once
+        if self.state == "starting" and seen.is_up:  # also if it stops at once
             self._enter("ready", "READY=1")
         if self.state != "stopping" and ends:
             self._enter("stopping", "STOPPING=1")
-        elif self.state == "ready" and is_changing:
+        elif self.state == "ready" and seen.is_changing:
             now = time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000
             self._enter("reloading", "RELOADING=1", f"MONOTONIC_USEC={now}")
-        elif self.state == "reloading" and not is_changing:
+        elif self.state == "reloading" and not seen.is_changing:
             self._enter("ready", "READY=1")
-        problem = "" if system is None else system.health_problem()
+        problem = seen.health_problem
         if problem and problem != self.health_problem:
             _log.error("the watchdog of the service manager is not notified: %s", problem)
         self.health_problem = problem
-        self._send(pending)
+        self._send(seen)
 
     def _enter(self, state: str, *message: str) -> None:
         if self.manager.notify(*message):
             self.state = state
 
-    def _send(self, pending: Sequence[str]) -> None:
+    def _send(self, seen: Seen) -> None:
         words = [] if self.state == "ready" else [self.state]
-        if self.state == "starting" and pending:
-            words = [f"starting, pending: {listed(pending, _NAMES)}"]
+        if self.state == "starting" and seen.pending:
+            words = [f"starting, pending: {listed(seen.pending, _NAMES)}"]
         elif self.state == "stopping" and self.stop.reason:
             words = [f"stopping: {self.stop.reason}"]
-        status = status_text(words, self.publisher.view, self.health_problem)
+        status = status_text(words, seen.summary, self.health_problem)
         lines = []
         if not self.health_problem:
             lines += ["WATCHDOG=1"] if self.manager.watchdog is not None else []
@@ -128,10 +150,15 @@ class ServiceReport(Struct, eq=False):
             self.status = status
 
 
-def status_text(words: Sequence[str], view: SystemView, health_problem: str = "") -> str:
+def status_text(words: Sequence[str], summary: str, health_problem: str = "") -> str:
     """Return the line of `systemctl status`; it begins with `words`."""
     parts = [f"health problem: {health_problem}"] if health_problem else []
-    parts += words
+    text = "; ".join([*parts, *words, *filter(None, (summary,))])
+    return "".join(each if each.isprintable() else " " for each in text)[:_STATUS_LIMIT]
+
+
+def summary_of(view: SystemView) -> str:
+    parts = []
     counts = [f"{view.loaded} of {view.total} nodes loaded"] if view.total else []
     if view.containers:
         running = sum(e.state is ContainerState.RUNNING for e in view.containers.values())
@@ -150,5 +177,4 @@ def status_text(words: Sequence[str], view: SystemView, health_problem: str = ""
     ]
     if failed:
         parts.append(f"failed: {listed(failed, _NAMES)}")
-    text = "; ".join(parts)
-    return "".join(each if each.isprintable() else " " for each in text)[:_STATUS_LIMIT]
+    return "; ".join(parts)

@@ -183,7 +183,8 @@ def stop_seconds(config: ReplayConfig) -> int:
         now = {unit for unit in left if not before[unit] & left}
         left -= now or left
         generations += 1
-    return math.ceil(max(generations, 1) * each + _CLOSING_TIME)
+    sessions = 1 if config.machine else max(len(config.machines), 1)
+    return math.ceil(max(generations, 1) * each + sessions * _CLOSING_TIME)
 
 
 def carried(

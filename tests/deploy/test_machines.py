@@ -13,6 +13,7 @@ import psutil
 import pytest
 
 from play_launch.deploy.machines.namespaces import missing
+from tests.deploy.listening import Listening, closing
 from tests.support.hosts import Hosts, running, supervisors, system
 from tests.support.replay import COMMAND
 from tests.support.waiting import until
@@ -406,3 +407,31 @@ def test_what_is_wrong_with_a_machine_is_said_before_anything_starts(
     assert "machine h3: " in done.stderr
     assert expected in done.stderr
     assert not supervisors(net, 2)
+
+
+def test_a_service_is_up_when_all_machines_are(
+    net: Hosts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = system(tmp_path, "serves", h3=", connect_timeout: 40 s")
+    net.set_link(3, "down")
+    with closing(Listening.in_folder(tmp_path)) as manager:
+        monkeypatch.setenv("NOTIFY_SOCKET", manager.address)
+        monkeypatch.setenv("WATCHDOG_USEC", "3000000")
+        started = running(net, config)
+        with started as serves:
+            # A machine that is booted later is waited for.
+            until(lambda: "h3: it does not answer" in serves.printed(), "the first attempt")
+            assert "READY=1" not in manager.hear_all()
+            net.set_link(3, "up")
+            manager.until("READY=1")
+            assert "WATCHDOG=1" in manager.said
+            assert serves.rows()["/listener"]["state"] == "loaded"
+            with config.open("a") as file:
+                file.write("  - {name: late, command: [sleep, '1000'], start_delay: 1 s}\n")
+            serves.ask("apply", str(config))
+            manager.until("RELOADING=1")
+            manager.until("READY=1")
+            manager.until("STATUS=3 of 3 machines running, 7 of 7 up")
+            serves.stop()
+        assert "STOPPING=1" in manager.hear_all() + manager.said
+    assert not supervisors(net, 3)

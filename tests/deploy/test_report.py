@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 
 from play_launch.config.model import ReplayConfig
 from play_launch.deploy.notification import ServiceManager
-from play_launch.deploy.report import ServiceReport, status_text
+from play_launch.deploy.report import ServiceReport, seen_of, status_text, summary_of
 from play_launch.process.exit import Exit
 from play_launch.runtime.launcher import StartError
 from play_launch.runtime.system import System
@@ -51,7 +52,11 @@ async def reported(
         if operable is None:
             operable = asyncio.get_running_loop().create_future()
             operable.set_result(None)
-        report = ServiceReport(manager, system.publisher, system.stop, begun, operable)
+        look = partial(seen_of, system.publisher, system.stop, begun, operable)
+        report = ServiceReport(manager, system.stop, look)
+        system.publisher.add_sink(report)
+        for each in (begun, operable):
+            each.add_done_callback(lambda _: report.changed.set())
         task = asyncio.create_task(report.run())
         try:
             while system.system is None:
@@ -141,12 +146,12 @@ SYSTEM = scenes.view(
 
 
 def test_status() -> None:
-    assert status_text(["starting"], SYSTEM) == (
+    assert status_text(["starting"], summary_of(SYSTEM)) == (
         "starting; 1 of 4 nodes loaded, 1 of 2 containers running, 1 of 2 processes running; "
         "failed: /b, /a/n2, /q"
     )
-    assert status_text([], SystemView()) == ""
-    text = status_text(["a\nb", "x" * 500], SYSTEM, "c\td")
+    assert status_text([], summary_of(SystemView())) == ""
+    text = status_text(["a\nb", "x" * 500], summary_of(SYSTEM), "c\td")
     assert text.startswith("health problem: c d; a b; x")
     assert len(text) == 400
 

@@ -22,7 +22,7 @@ from play_launch.cli.top import model
 from play_launch.cli.top.link import POLL_INTERVAL, SessionLink
 from play_launch.cli.top.modals import FilterPrompt, Help, Question
 from play_launch.control.protocol import OperationError
-from play_launch.control.units import Health, full_name, health, target_of
+from play_launch.control.units import Health, full_name, health, health_counts, target_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -380,7 +380,7 @@ class TopApp(App[ScreenEnd]):
             return text.append("connecting")
         text.append(f"up {model.uptime(time.time() - self.hello.started_ns / 1e9)}  ")
         has_failed = any(health(row) is Health.FAILED for row in self.rows)
-        text.append(model.counted(self.rows), "red" if has_failed else "")
+        text.append(health_counts(self.rows), "red" if has_failed else "")
         if self.pattern:
             text.append(f"; {len(self.shown)} with {model.clean(self.pattern)!r}")
         if self.order is not model.Order.DECLARED or self.is_reversed:

@@ -109,17 +109,6 @@ def matching(rows: Iterable[UnitRow], pattern: str) -> list[UnitRow]:
     return found
 
 
-def counted(rows: Sequence[UnitRow]) -> str:
-    """Summarise the system: ``7 of 9 up, 1 failed, 1 inactive``."""
-    states = [health(row) for row in rows]
-    others = [
-        f"{states.count(each)} {each}"
-        for each in Health
-        if each in states and each is not Health.UP
-    ]
-    return ", ".join([f"{states.count(Health.UP)} of {len(rows)} up", *others])
-
-
 # Cells.
 
 WIDTHS: Final = {"STATE": 12, "PID": 7, "UP": 7, "RST": 5, "CPU%": 6, "MEM": 6}

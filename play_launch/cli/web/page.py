@@ -16,7 +16,7 @@ from play_launch.cli.top import model
 from play_launch.cli.web.access import RIGHT, Right
 from play_launch.cli.web.commands import CommandError
 from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, OperationError
-from play_launch.control.units import Health, health, target_of
+from play_launch.control.units import Health, health, health_counts, target_of
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterable
@@ -158,7 +158,7 @@ class _Page:
         left_out = f"; {_MOST_ROWS} are shown" if count > _MOST_ROWS else ""
         if self._watch.missed:
             left_out += f"; {self._watch.missed} events were missed"
-        self._counts.text = f"{model.counted(self._watch.rows)}{left_out}" if count else ""
+        self._counts.text = f"{health_counts(self._watch.rows)}{left_out}" if count else ""
         self._draw_rows()
 
     def _draw_rows(self) -> None:

@@ -65,8 +65,10 @@ class Applying:
             raise
         # It is carried out to its end also when the client disconnects.
         self._task = task = asyncio.create_task(change.carry_out())
+        self._coordinator.on_change()
 
         def close(task: asyncio.Task[dict[str, Any]]) -> None:
+            self._coordinator.on_change()
             ended.put_nowait(None)
             _ = task.cancelled() or task.exception()  # of a client that has gone
 
@@ -75,8 +77,12 @@ class Applying:
             await caller.send("step", outcome)
         return {"applied": task.result()}
 
+    @property
+    def is_busy(self) -> bool:
+        return self._task is not None and not self._task.done()
+
     def _require_idle(self) -> None:
-        if self._task is not None and not self._task.done():
+        if self.is_busy:
             text = "another configuration is being applied; try again when it is done"
             raise OperationError(Code.REFUSED, text)
 

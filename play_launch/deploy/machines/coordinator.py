@@ -8,16 +8,20 @@ import logging
 from typing import TYPE_CHECKING, Any, Final
 
 import anyio
+from msgspec import convert
 from msgspec.structs import replace
 
 from play_launch import ExitCode
 from play_launch.config.machines import DiscoveryBy, part_of, stopped_after, used_machines
 from play_launch.control.event_words import event_object, words_of
+from play_launch.control.messages import UnitRow
 from play_launch.control.protocol import Code, OperationError
+from play_launch.control.units import health_counts
 from play_launch.deploy.machines.applying import Applying, without_units
 from play_launch.deploy.machines.hosts import HostError, LinkLost
 from play_launch.deploy.machines.part import BEGUN, OVER, Part
 from play_launch.deploy.machines.requests import Requests
+from play_launch.deploy.report import Seen
 from play_launch.deploy.unit import stop_seconds
 from play_launch.process.session import first_of
 from play_launch.supervisor.events import MachineState
@@ -76,9 +80,11 @@ class Coordinator:
         """Machines on which something of the system may run."""
         self._recordings: dict[str, dict[str, Any]] = {}
         """By session: one that was killed, and one of a machine that was removed, is kept."""
-        self.requests = Requests(self.parts, Applying(self))
+        self._applying = Applying(self)
+        self.requests = Requests(self.parts, self._applying)
+        self._is_up = False
         self.on_change: Callable[[], None] = lambda: None
-        """Called when the state of a machine has changed."""
+        """Called when a machine, or what is applied, has changed."""
 
     async def run(
         self,
@@ -109,6 +115,7 @@ class Coordinator:
             if detach:
                 await first_of(stop.wait(), self._ended.wait(), self._all_loaded())
             else:
+                tasks.start_soon(self._all_loaded)
                 await first_of(stop.wait(), self._ended.wait())
             self._tasks = None
             code = self._exit_code()
@@ -165,6 +172,21 @@ class Coordinator:
             for each in self._recordings.values()
         ]
 
+    def seen(self) -> Seen:
+        """Give what is reported to the service manager."""
+        rows = [row for part in self.parts.values() for row in part.rows]
+        states = {part.name: part.state for part in self.parts.values()}
+        running = [*states.values()].count(MachineState.RUNNING)
+        lost = [name for name, state in states.items() if state is MachineState.UNREACHABLE]
+        units = health_counts(convert(rows, list[UnitRow], strict=False))
+        summary = f"{running} of {len(states)} machines running, {units}"
+        return Seen(
+            is_up=self._is_up,
+            pending=[name for name, state in states.items() if state in BEGUN],
+            is_changing=self._applying.is_busy,
+            summary=f"{summary}; unreachable: {', '.join(lost)}" if lost else summary,
+        )
+
     async def _all_loaded(self) -> None:
         """Wait until all units of all machines are up, or failed for good."""
 
@@ -176,6 +198,7 @@ class Coordinator:
         async with anyio.create_task_group() as tasks:
             for part in self.parts.values():
                 tasks.start_soon(loaded, part)
+        self._is_up = True
 
     # Start and end.
 

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 import shlex
 import socket
 import stat
+import time
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 import anyio
+from msgspec.structs import replace
 
 from play_launch import UserError
 
@@ -25,6 +28,7 @@ if TYPE_CHECKING:
 
     from play_launch.config.machines import MachineConfig
 
+_log = logging.getLogger(__name__)
 Arrived: TypeAlias = "Callable[[int, int], None]"
 """Takes the bytes that have arrived, and those that there are."""
 _MARKER: Final = "==play-launch=="
@@ -36,6 +40,10 @@ writes more than the link carries."""
 _COMMAND_LIMIT: Final = 60.0
 """Seconds for a command: the check of a configuration from a cold disk."""
 _CLOSE_LIMIT: Final = 1.0
+_ATTEMPT: Final = 10.0
+"""Seconds of one attempt of the first connection."""
+_PAUSE: Final = 0.5
+"""Seconds between two."""
 _ABOUT: Final = """\
 printf '%s\\n' "$HOME" "$(cat /proc/sys/kernel/random/boot_id)" \
 "${PLAY_LAUNCH_SESSIONS_DIR:-/dev/shm/play_launch-$(id -u)}"
@@ -115,6 +123,29 @@ async def about(host: Host) -> About:
 async def connect(machine: MachineConfig) -> Host:
     """Connect to a machine; raises HostError where a person has to act, and LinkLost."""
     return LocalHost() if machine.local else await SshHost.connect(machine)
+
+
+async def connect_at_first(machine: MachineConfig) -> tuple[Host, About]:
+    """Connect, as often as `connect_timeout` permits: it may just be booted; raises HostError."""
+    left = machine.connect_timeout
+    deadline = time.monotonic() + left
+    is_reported = False
+    while True:
+        host: Host | None = None
+        try:
+            host = await connect(replace(machine, connect_timeout=min(left, _ATTEMPT)))
+            return host, await about(host)
+        except LinkLost as lost:
+            if host is not None:
+                await host.close()
+            text = f"it does not answer: {lost}"
+        left = deadline - time.monotonic() - _PAUSE
+        if left <= 0:
+            raise HostError(f"{text}; try `ssh {machine.ssh or machine.name} true`")
+        if not is_reported:
+            is_reported = True
+            _log.warning("%s: %s; it is tried for %.0f s more", machine.name, text, left)
+        await asyncio.sleep(_PAUSE)
 
 
 def _missing_in(target: Path, files: Mapping[str, tuple[int, int]]) -> dict[str, int]:

@@ -17,7 +17,14 @@ from play_launch.control.feed import USUAL_KINDS
 from play_launch.control.protocol import Code, OperationError
 from play_launch.deploy.machines.bundle import BUSY, Bundle, files_of, require_fit
 from play_launch.deploy.machines.channel import Channel, OtherClock, links_of, session_of
-from play_launch.deploy.machines.hosts import HostError, LinkLost, SessionGone, about, connect
+from play_launch.deploy.machines.hosts import (
+    HostError,
+    LinkLost,
+    SessionGone,
+    about,
+    connect,
+    connect_at_first,
+)
 from play_launch.process.session import first_of
 from play_launch.supervisor.events import MachineChanged, MachineState
 
@@ -228,12 +235,7 @@ class Part:
     # Start.
 
     async def _connect(self) -> None:
-        try:
-            self._host = await connect(self.machine)
-            self._about = await about(self._host)
-        except LinkLost as lost:
-            name = self.machine.ssh or self.name
-            raise HostError(f"it does not answer: {lost}; try `ssh {name} true`") from None
+        self._host, self._about = await connect_at_first(self.machine)
 
     async def _running(self) -> str:
         """Return the link of a session of this part that runs already; empty if there is none."""

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from play_launch.cli.top.model import (
     Order,
     cells_of,
-    counted,
     machine_width,
     matching,
     memory,
@@ -16,7 +15,7 @@ from play_launch.cli.top.model import (
     uptime,
 )
 from play_launch.control.messages import UnitRow
-from play_launch.control.units import Health, health
+from play_launch.control.units import Health, health, health_counts
 from tests.cli.top.rows import NOTHING, node, row
 
 
@@ -111,9 +110,9 @@ def test_machines_have_a_column_and_choose_their_rows() -> None:
 
 def test_a_system_is_summed_up() -> None:
     rows = [row("/a"), row("/b", "stopped"), row("/c", "gave up"), row("/d", "starting")]
-    assert counted(rows) == "1 of 4 up, 1 failed, 1 changing, 1 inactive"
-    assert counted([row("/a")]) == "1 of 1 up"
-    assert counted([]) == "0 of 0 up"
+    assert health_counts(rows) == "1 of 4 up, 1 failed, 1 changing, 1 inactive"
+    assert health_counts([row("/a")]) == "1 of 1 up"
+    assert health_counts([]) == "0 of 0 up"
 
 
 @pytest.mark.parametrize(
