@@ -205,7 +205,7 @@ def _left_running(folder: Path, system: str) -> list[MachineConfig]:
     for name in names:
         try:
             recorded = json.loads((folder.parent / name / MACHINES).read_text())
-            if name == folder.name or any(each["system"] != system for each in recorded):
+            if name == folder.name or {each["system"] for each in recorded} != {system}:
                 continue
             if (entry := session_entry(folder.parent / name)) is not None and entry.is_running:
                 return []  # its coordinator lives

@@ -262,10 +262,7 @@ class MachineSection(ConfigSection):
         "none",
     )
     connect_timeout = optional(
-        kinds.POSITIVE_DURATION,
-        "Duration for the first connection, which is tried again and again: the machine may be "
-        "booting. By default 10 s.",
-        "3 min",
+        kinds.POSITIVE_DURATION, "Duration in which it tries to connect. By default 10 s.", "3 min"
     )
     lost_after = optional(
         kinds.POSITIVE_DURATION,

@@ -204,9 +204,10 @@ class Coordinator:
 
     async def _begin(self, left: Sequence[MachineConfig]) -> None:
         await self._prepare_all()
+        used = used_machines(self.config)
         async with anyio.create_task_group() as tasks:
             for machine in left:
-                if machine.name not in self.parts:
+                if machine.name not in used:
                     tasks.start_soon(self._end_earlier, machine)
 
     async def _end_earlier(self, machine: MachineConfig) -> None:

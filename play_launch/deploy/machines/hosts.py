@@ -131,13 +131,14 @@ async def connect_at_first(machine: MachineConfig) -> tuple[Host, About]:
     deadline = time.monotonic() + left
     is_reported = False
     while True:
-        host: Host | None = None
         try:
             host = await connect(replace(machine, connect_timeout=min(left, _ATTEMPT)))
-            return host, await about(host)
-        except LinkLost as lost:
-            if host is not None:
+            try:
+                return host, await about(host)
+            except BaseException:
                 await host.close()
+                raise
+        except LinkLost as lost:
             text = f"it does not answer: {lost}"
         left = deadline - time.monotonic() - _PAUSE
         if left <= 0:
