@@ -101,9 +101,13 @@ def run_machines(
         control = ControlSocket(str(session.folder))
         opened.callback(session.recorder.close)
         opened.callback(control.close)
-        if not as_json:
+        if as_json:
+            values = {"id": session.id, "name": config.name, "folder": str(session.folder)}
+            say_live(encode({"machine": "", "event": "session", **values}))
+        else:
             names = ", ".join(used_machines(config))
-            say_live(f"{config.name}: {describe(config)} on {names}")
+            recorded = f"recording to {session.folder}"
+            say_live(f"{config.name}: {describe(config)} on {names}, {recorded}")
         screen = MachinesScreen(_Lines(as_json=as_json, quiet=quiet))
         opened.callback(screen.close)
         coordinator = Coordinator(config, arguments, str(program()), screen.show, session.recorder)

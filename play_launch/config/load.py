@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from play_launch.config.includes import Documents
-from play_launch.config.machines import DiscoveryBy
+from play_launch.config.machines import DiscoveryBy, outside_copies
 from play_launch.config.model import (
     DEFAULT_TOPICS,
     BeforeCrashConfig,
@@ -131,14 +131,15 @@ def _resolve(
         at.problem("nothing to start; give containers or nodes")
     if document is None:
         return None
-    log_dir = document.log_dir
+    given = document.log_dir
+    log_dir = None if given is None else outside_copies(path_from(at.at_key("log_dir"), given))
     return ReplayConfig(
         name=source.stem if document.name is None else document.name,
         source=source,
         text=content,
         parameter_files=tuple(files.read),
         duration=document.duration,
-        log_dir=None if log_dir is None else path_from(at.at_key("log_dir"), log_dir),
+        log_dir=log_dir,
         graph_daemon=bool(document.graph_daemon),
         environment=MappingProxyType(environment),
         stop=StopLimits(**document.stop.given) if document.stop else StopLimits(),

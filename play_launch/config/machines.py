@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Mapping  # noqa: TC003 - msgspec reads annotations
 from enum import StrEnum
-from pathlib import Path  # noqa: TC003 - msgspec reads annotations
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
@@ -32,7 +32,9 @@ AWAITED_ELSEWHERE: Final = "(other machines)"
 """Key in the start rules of a part: the conditions that units on other machines wait for."""
 PARTS: Final = ".cache/play-launch/parts"
 """Below the home folder of a machine: copies of its part, each in a folder named by its content."""
-_COPY: Final = re.compile(rf"(/{re.escape(PARTS)}/[^/]+)-[0-9a-f]{{16}}/")
+_LOGS: Final = ".cache/play-launch/logs"
+"""The same, for what is recorded: copies are removed after a while."""
+_COPY: Final = re.compile(rf"/{re.escape(PARTS)}/([^/]+)-[0-9a-f]{{16}}/files/")
 _MOST_PROCESSES: Final = 32
 """Participants of a machine that peers of Fast DDS find; further ones are never found."""
 
@@ -113,7 +115,12 @@ def part_of(config: ReplayConfig, machine: str) -> ReplayConfig:
 
 def in_any_copy(value: object) -> str:
     """Describe a value of a part so that it is the same whichever copy of the part it is from."""
-    return _COPY.sub(r"\1/", repr(value))
+    return _COPY.sub(r"/\1/", repr(value))
+
+
+def outside_copies(folder: Path) -> Path:
+    """Give the place of a folder for recordings that the configuration has beside itself."""
+    return Path(_COPY.sub(rf"/{_LOGS}/\1/", str(folder)))
 
 
 def asked(dependency: Dependency) -> Dependency:

@@ -266,7 +266,7 @@ def test_a_program_that_is_to_be_copied_comes_with_the_change(net: Hosts, tmp_pa
     tool = tmp_path / "tool"
     tool.write_text("#!/bin/sh\nexec sleep 1000\n")
     tool.chmod(0o755)
-    config = system(tmp_path, "tools")
+    config = system(tmp_path, "tools", more="log_dir: recordings")
     here = config.read_text().replace(
         "machine: h3\n    command", "machine: h3\n    cwd: .\n    command"
     )
@@ -280,6 +280,11 @@ def test_a_program_that_is_to_be_copied_comes_with_the_change(net: Hosts, tmp_pa
         tools.ask("apply", str(config))
         until(lambda: tools.rows()["/tool"]["state"] == "running", "the program")
         assert tools.rows()["/ticks"]["pid"] == before["/ticks"]["pid"]
+        adopted = net.folder / "home3/.cache/play-launch/parts/tools-h3"
+        tools.ask("restart", "ticks")
+        (pid,) = (row["pid"] for name, row in tools.rows().items() if name == "/ticks")
+        place = Path(f"/proc/{pid}/cwd").readlink()
+        assert place == adopted.resolve() / "files" / tmp_path.relative_to("/")
         # The folder in which the session runs is kept, however many copies follow.
         for number in range(7):
             with config.open("a") as file:
@@ -288,4 +293,7 @@ def test_a_program_that_is_to_be_copied_comes_with_the_change(net: Hosts, tmp_pa
         (supervisor,) = supervisors(net, 3)
         assert Path(f"/proc/{supervisor}/cwd").readlink().is_dir()
         assert len([*net.folder.glob("home3/.cache/play-launch/parts/tools-h3-*")]) < 9
+        # What is recorded is not within a copy, which may be removed.
+        recorded = net.folder / f"home3/.cache/play-launch/logs/tools-h3{tmp_path}/recordings"
+        assert any(recorded.glob("*/session.mcap*"))
         tools.stop()
