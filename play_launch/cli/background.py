@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.cli.output import printable, stdout_is_kept
+from play_launch.config.text import listed
 from play_launch.control.event_words import names_of
 from play_launch.process.lines import LineReader
 from play_launch.process.time_slice import run_ahead, run_along
@@ -53,6 +54,7 @@ _LONGEST_START: Final = 30.0
 """Seconds after which it runs along even though nodes are still being loaded."""
 _PRIORITY_INTERVAL: Final = 1.0
 """Seconds between two checks for the end of the start, and for further threads of our own."""
+_NAMES: Final = 3
 _FULL_PIPE: Final = 32 * 1024
 """Bytes of one read from which on the pipe may have been full: it holds 64 KiB, or half of that."""
 
@@ -86,6 +88,7 @@ class Background(Struct):
             "control by commands": self._serve_control(),
             "the record of the ROS graph": self._observe_graph(),
             "the page": self._show_page(),
+            "a look for the same system elsewhere": self._look_for_twins(),
         }
         async with contextlib.AsyncExitStack() as stack:
             for what, work in tasks.items():
@@ -111,6 +114,24 @@ class Background(Struct):
             async with asyncio.timeout(_LONGEST_WAIT):
                 while not is_up(self.publisher.view):  # noqa: ASYNC110
                     await asyncio.sleep(_START_CHECK)
+
+    async def _look_for_twins(self) -> None:
+        """Warn of other sessions with the same nodes: a service, or another terminal."""
+        await self._system_is_up()
+        from play_launch.control.sessions import twins  # noqa: PLC0415
+
+        config = self.config
+        names = [each.full_name for each in config.members]
+        names += [node.key.name for each in config.containers for node in each.composable_nodes]
+        named = [name for name in names if "[" not in name]
+        domain = {**os.environ, **config.environment}.get("ROS_DOMAIN_ID") or "0"
+        # A part is in the session of the coordinator as well.
+        but = config.name if config.machine else ""
+        for hello, shared in await asyncio.to_thread(twins, named, domain, but=but):
+            _log.warning(
+                "session %s (pid %d) runs %s as well: end one of the two",
+                *(hello.name, hello.pid, listed(shared, _NAMES)),
+            )
 
     async def _sample(self) -> None:
         period = self.config.record.sampling.period

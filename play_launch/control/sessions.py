@@ -26,7 +26,7 @@ from play_launch.control.registration import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
 COMPLETION_TIMEOUT: Final = 0.15
 """Seconds for the answers that a shell waits for after a key was pressed."""
@@ -133,6 +133,36 @@ def glance(operation: str, names: Sequence[str]) -> list[tuple[SessionInfo, list
         for each in found
         if each.client is not None and isinstance(each.answer, list)
     ]
+
+
+def twins(
+    names: Collection[str], domain: str, *, but: str = ""
+) -> list[tuple[SessionInfo, list[str]]]:
+    """Find other sessions of the user that run units of these names in a ROS domain.
+
+    Sessions called ``but`` do not count, nor do those that do not answer in time.
+    """
+    others = [link for link in registered() if link.pid != os.getpid()]
+    found = find(others, _LISTING_TIMEOUT, "ps")
+    same: list[tuple[SessionInfo, list[str]]] = []
+    for each in found:
+        if (
+            each.client is None
+            or not isinstance(each.answer, list)
+            or each.client.hello.name == but
+        ):
+            continue
+        up = {row["name"] for row in each.answer if row["state"] in {"running", "loaded"}}
+        if not (shared := sorted(up.intersection(names))):
+            continue
+        try:
+            its = each.client.ask("environment", limit=_LISTING_TIMEOUT)
+        except OperationError:
+            continue
+        if (its.get("ROS_DOMAIN_ID") or "0") == domain:
+            same.append((each.client.hello, shared))
+    close(found)
+    return same
 
 
 def find(

@@ -22,7 +22,7 @@ from play_launch.control import registration
 from play_launch.control.client import SessionInfo
 from play_launch.control.protocol import PROTOCOL, Code, OperationError, encode
 from play_launch.control.registration import CONTROL_SOCKET, LINKS, address_of, registered
-from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect
+from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect, twins
 from tests.control.links import put_link
 from tests.support.replay import COMMAND, replaying
 from tests.support.waiting import until
@@ -334,3 +334,19 @@ def test_what_follows_a_session_reports_how_it_ended(
         for each in followers:
             assert each.communicate(timeout=60)[1] == words.format(replay.pid)
             assert each.returncode == code
+
+
+def test_a_system_that_runs_twice_is_warned_of(tmp_path: Path) -> None:
+    config = tmp_path / "robot.yaml"
+    config.write_text(
+        "version: 1\nnodes:\n- {name: twin, command: [sleep, '1000']}\n- {command: [sleep, '9']}\n"
+    )
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    with replaying(config, tmp_path / "first") as first:
+        first.until_operable()
+        assert [shared for _, shared in twins(["/twin", "/other"], domain)] == [["/twin"]]
+        assert not twins(["/twin"], "101")
+        assert not twins(["/twin"], domain, but="robot")
+        with replaying(config, tmp_path / "second") as second:
+            text = f"session robot (pid {first.pid}) runs /twin as well: end one of the two"
+            second.until(event="log", message=text)
