@@ -6,6 +6,7 @@ answer: a command must not reach another robot because the right one hangs.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import time
@@ -146,21 +147,15 @@ def twins(
     found = find(others, _LISTING_TIMEOUT, "ps")
     same: list[tuple[SessionInfo, list[str]]] = []
     for each in found:
-        if (
-            each.client is None
-            or not isinstance(each.answer, list)
-            or each.client.hello.name == but
-        ):
+        if each.client is None or each.client.hello.name == but:
             continue
-        up = {row["name"] for row in each.answer if row["state"] in {"running", "loaded"}}
-        if not (shared := sorted(up.intersection(names))):
-            continue
-        try:
-            its = each.client.ask("environment", limit=_LISTING_TIMEOUT)
-        except OperationError:
-            continue
-        if (its.get("ROS_DOMAIN_ID") or "0") == domain:
-            same.append((each.client.hello, shared))
+        rows = each.answer or ()
+        up = {row["name"] for row in rows if row["state"] in {"running", "loaded"}}
+        if shared := sorted(up.intersection(names)):
+            with contextlib.suppress(OperationError):
+                its = each.client.ask("environment", limit=_LISTING_TIMEOUT)
+                if (its.get("ROS_DOMAIN_ID") or "0") == domain:
+                    same.append((each.client.hello, shared))
     close(found)
     return same
 

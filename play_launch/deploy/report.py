@@ -123,10 +123,10 @@ class ServiceReport(Struct, eq=False):
             self._enter("reloading", "RELOADING=1", f"MONOTONIC_USEC={now}")
         elif self.state == "reloading" and not seen.is_changing:
             self._enter("ready", "READY=1")
-        problem = seen.health_problem
-        if problem and problem != self.health_problem:
-            _log.error("the watchdog of the service manager is not notified: %s", problem)
-        self.health_problem = problem
+        if seen.health_problem not in {"", self.health_problem}:
+            text = "the watchdog of the service manager is not notified: %s"
+            _log.error(text, seen.health_problem)
+        self.health_problem = seen.health_problem
         self._send(seen)
 
     def _enter(self, state: str, *message: str) -> None:
@@ -152,8 +152,8 @@ class ServiceReport(Struct, eq=False):
 
 def status_text(words: Sequence[str], summary: str, health_problem: str = "") -> str:
     """Return the line of `systemctl status`; it begins with `words`."""
-    parts = [f"health problem: {health_problem}"] if health_problem else []
-    text = "; ".join([*parts, *words, *filter(None, (summary,))])
+    problem = f"health problem: {health_problem}" if health_problem else ""
+    text = "; ".join(filter(None, (problem, *words, summary)))
     return "".join(each if each.isprintable() else " " for each in text)[:_STATUS_LIMIT]
 
 

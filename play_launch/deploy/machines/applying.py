@@ -222,9 +222,8 @@ class _Change:
             stays = stays and not (isinstance(applied, dict) and applied.get("rollback"))
         if not stays:
             return
-        part.take(part_of(self._target, part.name), bundle)
         try:
-            await part.adopt(part.config, bundle)
+            await part.adopt(part_of(self._target, part.name), bundle)
             await part.refresh()
         except (OperationError, LinkLost) as error:
             self._failures.append(f"{part.name}: {error}")

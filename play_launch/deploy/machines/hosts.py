@@ -41,7 +41,7 @@ _COMMAND_LIMIT: Final = 60.0
 """Seconds for a command: the check of a configuration from a cold disk."""
 _CLOSE_LIMIT: Final = 1.0
 _ATTEMPT: Final = 10.0
-"""Seconds of one attempt of the first connection."""
+"""Seconds of one attempt of the first connection, at least; half of the time that is left."""
 _PAUSE: Final = 0.5
 """Seconds between two."""
 _ABOUT: Final = """\
@@ -132,7 +132,8 @@ async def connect_at_first(machine: MachineConfig) -> tuple[Host, About]:
     is_reported = False
     while True:
         try:
-            host = await connect(replace(machine, connect_timeout=min(left, _ATTEMPT)))
+            limit = min(left, max(left / 2, _ATTEMPT))
+            host = await connect(replace(machine, connect_timeout=limit))
             try:
                 return host, await about(host)
             except BaseException:

@@ -224,8 +224,8 @@ class Part:
 
     async def adopt(self, part: ReplayConfig, bundle: Bundle) -> None:
         """Take a configuration, also as what the machine starts next time; raises LinkLost."""
-        await self.host.run(bundle.adopt_command())
         self.take(part, bundle)
+        await self.host.run(bundle.adopt_command())
 
     def take(self, part: ReplayConfig, bundle: Bundle) -> None:
         """Take a configuration that was brought as that of the part."""
