@@ -84,7 +84,7 @@ class Coordinator:
         self.requests = Requests(self.parts, self._applying)
         self._is_up = False
         self.on_change: Callable[[], None] = lambda: None
-        """Called when a machine, or what is applied, has changed."""
+        """Called when a machine, what is applied, or whether all is up has changed."""
 
     async def run(
         self,
@@ -199,6 +199,7 @@ class Coordinator:
             for part in self.parts.values():
                 tasks.start_soon(loaded, part)
         self._is_up = True
+        self.on_change()
 
     # Start and end.
 
