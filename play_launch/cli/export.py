@@ -12,7 +12,7 @@ import typer
 from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import fail, is_passed_on, say, whole_file
+from play_launch.cli.output import fail, is_passed_on, make_folder, say, whole_file
 from play_launch.postmortem.export.tables import WRITERS, rows
 from play_launch.postmortem.export.trace import write_trace
 from play_launch.postmortem.timeline import Timeline
@@ -53,14 +53,9 @@ def export(
     timeline = Timeline(file)
     session = timeline.session
     target = output or beside(file, ".trace.json" if form == TRACE else f"-{form}")
-    try:
-        written = (
-            _write_trace(timeline, target)
-            if form == TRACE
-            else _write_tables(session, form, target)
-        )
-    except OSError as error:  # the folder of the tables
-        fail(f"{error.filename or target}: {error.strerror or error}", ExitCode.NODE_FAILED)
+    written = (
+        _write_trace(timeline, target) if form == TRACE else _write_tables(session, form, target)
+    )
     say(f"{target}: {written}", beside=target)
     return ExitCode.DAMAGED if report_damage(session.reader) else 0
 
@@ -77,7 +72,7 @@ def _write_tables(session: PastSession, form: str, folder: Path) -> str:
         for table, values in rows(session):
             writer = tables.get(table)
             if writer is None:
-                folder.mkdir(parents=True, exist_ok=True)
+                make_folder(folder)
                 half = files.enter_context(whole_file(folder / f"{table}.{form}"))
                 writer = tables[table] = files.enter_context(closing(WRITERS[form](half)))
             writer.add(values)

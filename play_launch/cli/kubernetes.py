@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from play_launch.cli import options
-from play_launch.cli.output import fail, say, write_file
+from play_launch.cli.output import fail, make_folder, say, write_file
 
 _IMAGE = "play-launch:latest"
 
@@ -19,7 +19,7 @@ def kubernetes(
     output: Annotated[
         Path | None,
         options.output(
-            "The folder for system.yaml and kustomization.yaml. Default: system.yaml on stdout.",
+            "The folder for system.yaml and its overlay. Default: system.yaml on stdout.",
             "DIR",
         ),
     ] = None,
@@ -57,7 +57,8 @@ def kubernetes(
     if output is None:
         say(text.rstrip("\n"))
         return
-    output.mkdir(parents=True, exist_ok=True)
-    write_file(output / "system.yaml", text)
-    write_file(output / "kustomization.yaml", kustomization(loaded, image))
+    files = {"system.yaml": text, **kustomization(loaded, image)}
+    make_folder(output)
+    for name, content in files.items():
+        write_file(output / name, content)
     say(f"{output} is written; kubectl apply -k {output}")

@@ -293,6 +293,14 @@ def whole_file(output: Path, *, replaces_recording: bool = False) -> Iterator[Pa
         raise OutputError(output, error.strerror or str(error) or type(error).__name__) from error
 
 
+def make_folder(folder: Path) -> None:
+    """Make the folder of an output, unless it is there; raises OutputError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(folder, error.strerror or str(error)) from error
+
+
 def write_file(output: Path, content: str | bytes) -> int:
     """Write a whole file, as `whole_file` does, and return its size in bytes."""
     data = content if isinstance(content, bytes) else content.encode()

@@ -10,7 +10,15 @@ import typer
 from msgspec.structs import asdict
 
 from play_launch import ExitCode
-from play_launch.cli.output import counted, fail, is_standard_output, note, say, write_file
+from play_launch.cli.output import (
+    counted,
+    fail,
+    is_standard_output,
+    make_folder,
+    note,
+    say,
+    write_file,
+)
 from play_launch.config.substitutions import parse_arguments
 from play_launch.launch_files.configuration.options import Containers
 
@@ -145,10 +153,7 @@ def write_config(
         output = None
     if output is not None and not is_refused:
         for path, content in made.files.items():
-            try:
-                path.parent.mkdir(exist_ok=True)
-            except OSError as error:
-                fail(f"{path.parent} cannot be made: {error.strerror}", ExitCode.NODE_FAILED)
+            make_folder(path.parent)
             write_file(path, content)
         write_file(output, made.text)
     if as_json:

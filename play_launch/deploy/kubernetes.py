@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,7 +17,7 @@ from play_launch.deploy.machines.hosts import HostError
 from play_launch.deploy.unit import stop_seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from play_launch.config.model import ReplayConfig
 
@@ -30,8 +31,9 @@ _PART_OF: Final = "app.kubernetes.io/part-of"
 _NAME: Final = "app.kubernetes.io/name"
 _SPARE: Final = 5
 """Seconds from the end of an orderly stop to SIGKILL."""
-_PROBE: Final = ["play-launch", "wait", "--for", "loaded", "--timeout", "1s"]
-_START_LIMIT: Final = 300
+_START_LIMIT: Final = 60
+"""Seconds until the supervisor answers, on a cold disk."""
+_LOADING: Final = 300
 """Seconds for a start, downloads of models included."""
 _PERIOD: Final = 10
 """Seconds between probes: each takes 0.1 s of CPU time."""
@@ -60,8 +62,8 @@ def manifests(config: ReplayConfig, workload: Workload) -> str:
     return yaml.safe_dump_all(documents, sort_keys=False, default_flow_style=False, width=100)
 
 
-def kustomization(config: ReplayConfig, image: str) -> str:
-    """Write an overlay in which image and namespace are changed."""
+def kustomization(config: ReplayConfig, image: str) -> dict[str, str]:
+    """Write, by file name, an overlay in which image and namespace are changed."""
     name, separator, tag = image.rpartition(":")
     if not separator or "/" in tag:  # the colon is that of a registry's port
         name, tag = image, "latest"
@@ -71,10 +73,17 @@ def kustomization(config: ReplayConfig, image: str) -> str:
         "apiVersion": "kustomize.config.k8s.io/v1beta1",
         "kind": "Kustomization",
         "namespace": _plain(config.name),
-        "resources": ["system.yaml"],
+        "resources": ["namespace.yaml", "system.yaml"],
         "images": [{"name": name, "newName": name, "newTag": tag}],
     }
-    return yaml.safe_dump(overlay, sort_keys=False)
+    # kustomize gives it the name of the overlay's namespace.
+    namespace = {
+        "apiVersion": "v1",
+        "kind": "Namespace",
+        "metadata": {"name": _plain(config.name)},
+    }
+    written = {"namespace.yaml": namespace, "kustomization.yaml": overlay}
+    return {name: yaml.safe_dump(each, sort_keys=False) for name, each in written.items()}
 
 
 def _refuse_conditions(parts: dict[str, ReplayConfig]) -> None:
@@ -97,11 +106,11 @@ def _config_map(config: ReplayConfig, files: Mapping[str, bytes]) -> dict[str, A
             "move maps and the like into the image, or onto a volume"
         )
     data: dict[str, str] = {}
-    for number, content in enumerate(files.values()):
+    for path, item in _items(files).items():
         try:
-            data[f"file{number}"] = content.decode()
+            data[item["key"]] = files[path].decode()
         except UnicodeDecodeError:
-            raise HostError(f"{list(files)[number]} is no text: move it into the image") from None
+            raise HostError(f"{path} is no text: move it into the image") from None
     return {
         "apiVersion": "v1",
         "kind": "ConfigMap",
@@ -110,8 +119,26 @@ def _config_map(config: ReplayConfig, files: Mapping[str, bytes]) -> dict[str, A
     }
 
 
+def _items(files: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Return for each file its key in the ConfigMap, and its path below the mounted folder."""
+    top = os.path.commonpath([os.path.dirname(path) for path in files])  # noqa: PTH120
+    found: dict[str, dict[str, str]] = {}
+    for path in sorted(files):
+        below = os.path.relpath(path, top)
+        # The key stays the same when other files come and go: pods see each change of it.
+        key = re.sub("[^-._a-zA-Z0-9]+", "_", below)
+        while any(key == each["key"] for each in found.values()):
+            key += "_"
+        found[path] = {"key": key, "path": below}
+    return found
+
+
 def _workload(
-    config: ReplayConfig, part: ReplayConfig, workload: Workload, machine: str, files: Iterable[str]
+    config: ReplayConfig,
+    part: ReplayConfig,
+    workload: Workload,
+    machine: str,
+    files: Collection[str],
 ) -> dict[str, Any]:
     name = _plain(f"{config.name}-{machine}" if machine else config.name)
     labels = {_NAME: name, _PART_OF: _plain(config.name)}
@@ -122,7 +149,7 @@ def _workload(
     metadata = {"name": name, "labels": labels}
     if config.duration is not None:
         template["spec"]["restartPolicy"] = "Never"
-        limit = math.ceil(config.duration) + _START_LIMIT + stop_seconds(part)
+        limit = math.ceil(config.duration) + _LOADING + stop_seconds(part)
         spec = {"backoffLimit": 0, "activeDeadlineSeconds": limit, "template": template}
         return {"apiVersion": "batch/v1", "kind": "Job", "metadata": metadata, "spec": spec}
     selector = {"matchLabels": {_NAME: name}}
@@ -140,10 +167,17 @@ def _workload(
 
 
 def _pod(
-    config: ReplayConfig, part: ReplayConfig, workload: Workload, machine: str, files: Iterable[str]
+    config: ReplayConfig,
+    part: ReplayConfig,
+    workload: Workload,
+    machine: str,
+    files: Collection[str],
 ) -> dict[str, Any]:
-    source = f"{_FOLDER}{config.source.absolute()}"
-    words = ["play-launch", "replay", "--quiet", *(["--machine", machine] if machine else [])]
+    items = _items(files)
+    source = f"{_FOLDER}/{items[str(config.source.absolute())]['path']}"
+    # Of a changed ConfigMap only what differs is applied.
+    words = ["play-launch", "replay", "--quiet", "--watch"]
+    words += ["--machine", machine] if machine else []
     container: dict[str, Any] = {
         "name": "play-launch",
         "image": workload.image,
@@ -152,16 +186,17 @@ def _pod(
             {"name": "HOME", "value": "/tmp"},  # noqa: S108 - ROS writes its log files there
             {"name": "PLAY_LAUNCH_LOG_DIR", "value": _RECORDINGS},
         ],
-        "startupProbe": {
-            "exec": {"command": _PROBE},
-            "periodSeconds": 2,
-            "timeoutSeconds": 5,
-            "failureThreshold": _START_LIMIT // 2,
-        },
         "readinessProbe": {
-            "exec": {"command": _PROBE},
+            "exec": {"command": ["play-launch", "wait", "--for", "loaded", "--timeout", "1s"]},
             "periodSeconds": _PERIOD,
             "timeoutSeconds": 5,
+        },
+        # A node that cannot be loaded must not restart the others: only the supervisor is asked.
+        "livenessProbe": {
+            "exec": {"command": ["play-launch", "ps"]},
+            "initialDelaySeconds": _START_LIMIT,
+            "periodSeconds": 3 * _PERIOD,
+            "timeoutSeconds": _PERIOD,
         },
         "volumeMounts": [
             {"name": "config", "mountPath": _FOLDER, "readOnly": True},
@@ -170,13 +205,9 @@ def _pod(
         ],
     }
     if config.duration is not None:
-        del container["startupProbe"], container["readinessProbe"]
+        del container["readinessProbe"], container["livenessProbe"]
     if _asks_for_priorities(part):
         container["securityContext"] = {"capabilities": {"add": ["SYS_NICE"]}}
-    items = [
-        {"key": f"file{number}", "path": path.removeprefix("/")}
-        for number, path in enumerate(files)
-    ]
     # Two pods of a system on one node would not share /dev/shm, and Fast DDS, which takes them for
     # one host, would deliver nothing between them.
     apart = {
@@ -198,7 +229,10 @@ def _pod(
         "terminationGracePeriodSeconds": stop_seconds(part) + _SPARE,
         "containers": [container],
         "volumes": [
-            {"name": "config", "configMap": {"name": _plain(config.name), "items": items}},
+            {
+                "name": "config",
+                "configMap": {"name": _plain(config.name), "items": [*items.values()]},
+            },
             {"name": "shared-memory", "emptyDir": {"medium": "Memory"}},
             {
                 "name": "recordings",

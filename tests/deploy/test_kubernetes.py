@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
-from tests.support.replay import run
+from tests.support.replay import finished, run
 
 SYSTEM = """\
 version: 1
@@ -25,7 +26,7 @@ containers:
     resources: {scheduler: {policy: fifo, priority: 10}}
     composable_nodes:
       - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker,
-         parameters: [params.yaml]}
+         parameters: [params/params.yaml]}
 nodes:
   - {name: plan, command: [sleep, "${arg:seconds:-9}"], depends_on: [{node: talker}]}
 """
@@ -33,7 +34,8 @@ nodes:
 
 def written(folder: Path, text: str, *words: str, code: int = 0) -> str:
     (folder / "more.yaml").write_text("version: 1\n")
-    (folder / "params.yaml").write_text("/**:\n  ros__parameters: {rate: 1.0}\n")
+    (folder / "params").mkdir()
+    (folder / "params/params.yaml").write_text("/**:\n  ros__parameters: {rate: 1.0}\n")
     (folder / "system.yaml").write_text(text)
     done = run("kubernetes", folder / "system.yaml", *words, code=code)
     return done.stdout + done.stderr
@@ -54,7 +56,8 @@ def test_each_machine_is_a_deployment_with_its_part(tmp_path: Path) -> None:
     pod = vision["spec"]["template"]["spec"]
     (container,) = pod["containers"]
     assert container["image"] == "robot:2"
-    assert container["command"][:5] == ["play-launch", "replay", "--quiet", "--machine", "vision"]
+    words = ["play-launch", "replay", "--quiet", "--watch", "--machine", "vision"]
+    assert container["command"][:6] == words
     assert container["command"][-1] == "seconds:=7"
     assert pod["nodeSelector"] == {"play-launch/machine": "vision"}
     assert container["securityContext"]["capabilities"]["add"] == ["SYS_NICE"]
@@ -62,8 +65,8 @@ def test_each_machine_is_a_deployment_with_its_part(tmp_path: Path) -> None:
     assert pod["terminationGracePeriodSeconds"] > 3
     # The files lie where the command looks for them.
     paths = {f"/etc/play_launch/{each['path']}" for each in pod["volumes"][0]["configMap"]["items"]}
-    assert container["command"][5] in paths
-    assert f"/etc/play_launch{tmp_path}/params.yaml" in paths
+    assert container["command"][6] in paths
+    assert "/etc/play_launch/params/params.yaml" in paths
 
 
 def test_the_files_of_the_config_map_are_a_configuration_that_is_accepted(tmp_path: Path) -> None:
@@ -73,7 +76,7 @@ def test_the_files_of_the_config_map_are_a_configuration_that_is_accepted(tmp_pa
         path = tmp_path / "mounted" / item["path"]
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(config["data"][item["key"]])
-    source = tmp_path / "mounted" / str(tmp_path / "system.yaml").removeprefix("/")
+    source = tmp_path / "mounted/system.yaml"
     assert "1 container with 1 node" in run("check", source, "--machine", "vision", code=0).stdout
 
 
@@ -110,9 +113,30 @@ def test_kubernetes_accepts_them(
 def test_a_folder_gets_an_overlay(tmp_path: Path, image: str, name: str, tag: str) -> None:
     written(tmp_path, SYSTEM, "--output", str(tmp_path / "k8s"), "--image", image)
     overlay = yaml.safe_load((tmp_path / "k8s/kustomization.yaml").read_text())
-    assert overlay["resources"] == ["system.yaml"]
+    assert set(overlay["resources"]) == {"system.yaml", "namespace.yaml"}
     assert overlay["images"] == [{"name": name, "newName": name, "newTag": tag}]
     assert documents((tmp_path / "k8s/system.yaml").read_text())
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    output = tmp_path / "system.yaml/k8s"
+    assert f"{output}: Not a directory" in written(tmp_path, SYSTEM, "-o", str(output), code=1)
+
+
+@pytest.mark.skipif(not shutil.which("kubectl"), reason="needs kubectl, which has kustomize")
+def test_kustomize_moves_all_to_another_namespace_and_image(tmp_path: Path) -> None:
+    folder = tmp_path / "k8s"
+    written(tmp_path, SYSTEM, "--output", str(folder), "--image", "registry/robot:1")
+    overlay = folder / "kustomization.yaml"
+    changed = overlay.read_text().replace("namespace: my-robot", "namespace: fleet")
+    overlay.write_text(changed.replace("newTag: '1'", "newTag: '2'"))
+    built = finished(["kubectl", "kustomize", folder], code=0).stdout
+    namespace, *others = sorted(documents(built), key=lambda each: each["kind"] != "Namespace")
+    assert (namespace["kind"], namespace["metadata"]["name"]) == ("Namespace", "fleet")
+    assert {each["metadata"]["namespace"] for each in others} == {"fleet"}
+    pods = [each["spec"]["template"]["spec"] for each in others if each["kind"] == "Deployment"]
+    images = [each["image"] for pod in pods for each in pod["containers"]]
+    assert images == ["registry/robot:2"] * 2
 
 
 @pytest.mark.parametrize(
@@ -122,6 +146,7 @@ def test_a_folder_gets_an_overlay(tmp_path: Path, image: str, name: str, tag: st
         (("include: more.yaml", "duration: 3 s"), ("--fleet",), "is no DaemonSet"),
         (("vision: {}", "vision: {copy: [nothing]}"), (), "there is no"),
         (("name: sense", "nme: sense"), (), "nothing was written"),
+        (("seconds:-9", "seconds:-8"), ("--image", "robot@sha256:1", "-o", "k8s"), "give a tag"),
     ],
 )
 def test_what_cannot_run_there_is_refused(
