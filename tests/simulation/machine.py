@@ -169,6 +169,10 @@ class Machine:
     def touch_topic(self) -> None:
         self.touch((Condition.TOPIC, "", self.chance.choice(systems.TOPICS, "topic")))
 
+    def touch_far(self) -> None:
+        kind = self.chance.choice(systems.FAR_KINDS, "far condition")
+        self.touch((kind, self.chance.choice(systems.FAR, "far unit"), ""))
+
     def touch(self, condition: tuple[Condition, str, str]) -> None:
         self.met ^= {condition}
         self.post(said.Found(frozenset(self.met)))

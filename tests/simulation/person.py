@@ -37,7 +37,12 @@ class Person:
         if not chance.happens(1.0, "meddling"):
             return
         names, keys = list(machine.world.processes), list(machine.world.nodes)
-        deeds: list[Callable[[], None]] = [machine.touch_file, machine.touch_topic, self._change]
+        deeds: list[Callable[[], None]] = [
+            machine.touch_file,
+            machine.touch_topic,
+            machine.touch_far,
+            self._change,
+        ]
         if names:
             name = chance.choice(names, "name")
             anew = said.StartRequested(name, anew=True, reason="for a test")

@@ -152,7 +152,9 @@ class StartChecks:
         for dependency in rule.dependencies:
             if self.holds(dependency) or (unit, dependency) in self._held:
                 continue
-            can_wait = not dependency.unit and waited < dependency.timeout - SLACK
+            can_wait = (
+                dependency.machine or not dependency.unit
+            ) and waited < dependency.timeout - SLACK
             if dependency.on_timeout is OnTimeout.FAIL or can_wait:
                 raise BrokenError(name, f"{unit} starts without {dependency}", (unit,))
 
@@ -175,10 +177,10 @@ class StartChecks:
         return machine.now - since
 
     def holds(self, dependency: Dependency) -> bool:
-        machine, unit = self._machine, dependency.unit
-        match dependency.condition:
-            case Condition.FILE | Condition.TOPIC | Condition.LOG as kind:
-                return (kind, unit, dependency.subject) in machine.met
+        machine, unit, kind = self._machine, dependency.unit, dependency.condition
+        if dependency.machine or kind in {Condition.FILE, Condition.TOPIC, Condition.LOG}:
+            return (kind, unit, dependency.subject) in machine.met
+        match kind:
             case Condition.ACTIVE:
                 goal: ManagedNodeChanged | None = machine.view.managed.get(unit)
                 return goal is not None and goal.state is ManagedState.ACTIVE

@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 
 FILES = ("/calibration", "/map")
 TOPICS = ("/scan", "/tf")
+FAR = ("/far", "/farther")
+"""Units of another machine."""
+FAR_KINDS = (Condition.STARTED, Condition.LOADED, Condition.ACTIVE, Condition.EXITED)
 
 
 def restart(chance: random.Random) -> RestartLimits:
@@ -96,17 +99,18 @@ def rule(
 ) -> StartRule:
     found = []
     for _ in range(chance.randrange(1, 3)):
-        unit = chance.choice(others) if others else ""
+        unit = chance.choice([*others, *FAR])
+        is_far = unit in FAR
         timeout = chance.choice((float("inf"), 3.0, 20.0))
         on_timeout = chance.choice(list(OnTimeout))
-        kinds = [Condition.FILE, Condition.TOPIC]
+        kinds = [*FAR_KINDS] if is_far else [Condition.FILE, Condition.TOPIC]
         if unit in managed:
             kinds += [Condition.ACTIVE]
         if ":" in unit:
             kinds += [Condition.LOADED]
         elif unit in containers:
             kinds += [Condition.STARTED, Condition.LOADED]
-        elif unit:
+        elif unit and not is_far:
             kinds += [Condition.STARTED, Condition.LOG, Condition.EXITED]
         kind = chance.choice(kinds)
         subject = {
@@ -122,6 +126,7 @@ def rule(
                 subject=subject,
                 timeout=timeout,
                 on_timeout=on_timeout,
+                machine="another" if is_far else "",
             )
         )
     return StartRule(dependencies=tuple(found), delay=chance.choice((0.0, 0.0, 2.0)))
@@ -195,7 +200,7 @@ def changed(chance: random.Random, config: ReplayConfig) -> ReplayConfig:
     rules = {
         unit: each
         for unit, each in config.start_rules.items()
-        if unit in left and all(one.unit in left or not one.unit for one in each.dependencies)
+        if unit in left and all(one.unit in {*left, "", *FAR} for one in each.dependencies)
     }
     managed = {unit: each for unit, each in config.managed.items() if unit in left}
     return replace(target, start_rules=MappingProxyType(rules), managed=MappingProxyType(managed))
