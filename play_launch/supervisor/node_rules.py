@@ -344,7 +344,10 @@ def settle(step: Reduction, key: NodeKey) -> None:
     if node.is_requested:
         if node.state in IDLE:
             if container.runs:
-                values = {"is_requested": False, "is_reload": False, "released_at": step.now}
+                values: dict[str, object] = {"is_requested": False, "is_reload": False}
+                values["released_at"] = step.now
+                if node.stage is Stage.REFUSED:  # it stays requested if its container ends first
+                    values["stage"] = Stage.CLEARED
                 history = RestartHistory(total=node.restarts.total)
                 _apply(step, replace(node, restarts=history, **values), NodeFact.LOAD)
         elif node.state is not NodeState.UNLOADING:
