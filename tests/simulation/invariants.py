@@ -248,7 +248,10 @@ class Checks:
             process, starts = machine.world.processes.get(one.unit), seen.starts[one.unit]
             ends_all = process is not None and process.config.on_exit is OnExit.SHUTDOWN
             ending = starts.ending
-            if ends_all and starts.start == one.start and ending and not ending.was_stopped:
+            is_own = ending is not None and not ending.was_stopped
+            if isinstance(one, said.NotStarted):  # a stop cancels a start by killing it
+                is_own = is_own and not starts.was_killed
+            if ends_all and starts.start == one.start and is_own:
                 seen.ends_all = f"{one.unit} has ended"
         if isinstance(one, said.NodeReported) and one.said is NodeFact.CRASHED:
             for key in list(seen.crashed):
