@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -78,6 +79,21 @@ def test_the_files_of_the_config_map_are_a_configuration_that_is_accepted(tmp_pa
         path.write_text(config["data"][item["key"]])
     source = tmp_path / "mounted/system.yaml"
     assert "1 container with 1 node" in run("check", source, "--machine", "vision", code=0).stdout
+
+
+def test_files_of_a_package_are_those_of_the_image(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    share = tmp_path / "prefix/share"
+    for path in ("ament_index/resource_index/packages/other", "other/more.yaml"):
+        (share / path).parent.mkdir(parents=True)
+        (share / path).write_text("/**:\n  ros__parameters: {rate: 2.0}\n")
+    monkeypatch.setenv(
+        "AMENT_PREFIX_PATH", f"{tmp_path}/prefix:{os.environ.get('AMENT_PREFIX_PATH', '')}"
+    )
+    named = SYSTEM.replace("/params.yaml]", '/params.yaml, "$(find-pkg-share other)/more.yaml"]')
+    config, *_ = documents(written(tmp_path, named))
+    assert sorted(config["data"]) == ["more.yaml", "params_params.yaml", "system.yaml"]
 
 
 @pytest.mark.parametrize(

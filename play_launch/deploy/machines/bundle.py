@@ -9,6 +9,7 @@ import json
 import os
 import shlex
 import tarfile
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.machines import PARTS, Service
@@ -18,7 +19,6 @@ from play_launch.deploy.unit import stop_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
 
     from play_launch.config.model import ReplayConfig
     from play_launch.deploy.machines.hosts import Host
@@ -32,10 +32,18 @@ _LARGEST: Final = 512 * 1024 * 1024
 
 
 def files_of(config: ReplayConfig, copy: Iterable[Path]) -> dict[str, bytes]:
-    """Return the files of a configuration, and those to copy, by path; raises HostError."""
-    files = {str(config.source.absolute()): config.text}
+    """Return the files of a configuration, and those to copy, by path; raises HostError.
+
+    What `find-pkg-share` found is left out: it is found there anew, in the package of that place.
+    """
+    source = config.source.absolute()
+    files = {str(source): config.text}
+    packages = [Path(each) for each in config.taken.packages.values()]
+    elsewhere = [each for each in packages if not source.is_relative_to(each)]
     for file in (*config.included_files, *config.parameter_files):
-        files[os.path.normpath(file.path.absolute())] = file.text
+        path = Path(os.path.normpath(file.path.absolute()))
+        if not any(map(path.is_relative_to, elsewhere)):
+            files[str(path)] = file.text
     size = 0
     for path in (each for folder in copy for each in _files_below(folder)):
         try:
