@@ -286,7 +286,7 @@ class MachineSection(ConfigSection):
         "20 ms",
     )
     optional = optional(
-        kinds.BOOLEAN, "Whether the others start without it. By default false.", True
+        kinds.BOOLEAN, "The others start without it, and it joins later. By default false.", True
     )
 
 

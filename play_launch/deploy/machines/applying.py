@@ -123,12 +123,15 @@ class _Change:
     def begin(self) -> None:
         """Add the new machines, before others end: a system without a machine is over."""
         self._coordinator.require_running()
+        if joined := {part.name for part in self._added} & self._coordinator.there.keys():
+            text = f"{', '.join(joined)} has just been added, as it answers by now; try again"
+            raise OperationError(Code.REFUSED, text)
         self._coordinator.parts |= {part.name: part for part in self._added}
 
     async def compare(self) -> None:
         """Connect to what is new, bring all files, and compare; raises OperationError."""
         self._coordinator.require_running()
-        there = {name: p for name, p in self._coordinator.parts.items() if p.state not in OVER}
+        there = self._coordinator.there
         used = used_machines(self._target)
         kept = [there[name] for name in used if name in there]
         self._removed = [part for name, part in there.items() if name not in used]
@@ -197,6 +200,7 @@ class _Change:
             for part in self._added:
                 tasks.start_soon(self._add, part)
         self._coordinator.config = self._target
+        self._coordinator.arguments = self._request.arguments
         applied = {"plan": self.plan, "outcomes": self._outcomes, "rollback": None}
         if self._failures:
             raise OperationError(Code.FAILED, "; ".join(self._failures), applied=applied)

@@ -44,6 +44,8 @@ _BRING_UP: Final = 600.0
 """Seconds until a start that is to be left alone counts as done."""
 _CLOSING: Final = 60.0
 """Seconds until all recordings are closed."""
+_ABSENT: Final = 5.0
+"""Seconds before an absent machine is tried again."""
 _FAILED: Final = frozenset(("gave up", "load failed", "crashed", "lost"))
 
 
@@ -60,6 +62,7 @@ class Coordinator:
     ) -> None:
         """Prepare; ``program`` is play-launch on this machine."""
         self.config = config
+        self.arguments = arguments
         self._program = program
         self._show = show
         self._recorder = recorder
@@ -78,6 +81,8 @@ class Coordinator:
         """By machine; one that was removed stays as it ended."""
         self._left: set[str] = set()
         """Machines on which something of the system may run."""
+        self._absent: set[str] = set()
+        """Optional machines that were absent and are to be added."""
         self._recordings: dict[str, dict[str, Any]] = {}
         """By session: one that was killed, and one of a machine that was removed, is kept."""
         self._applying = Applying(self)
@@ -112,6 +117,7 @@ class Coordinator:
             for part in self.parts.values():
                 self.follow(part)
             tasks.start_soon(self._watch_for_the_end)
+            tasks.start_soon(self._add_absent)
             if detach:
                 await first_of(stop.wait(), self._ended.wait(), self._all_loaded())
             else:
@@ -127,6 +133,11 @@ class Coordinator:
         for part in self.parts.values():
             await part.close()
         return code
+
+    @property
+    def there(self) -> dict[str, Part]:
+        """Those that have neither ended nor failed."""
+        return {name: part for name, part in self.parts.items() if part.state not in OVER}
 
     def part(self, config: ReplayConfig, arguments: Sequence[str]) -> Part:
         """Prepare the part of a machine."""
@@ -238,13 +249,13 @@ class Coordinator:
 
         Raises HostError with a line for each problem where another one cannot; all are closed then.
         """
-        problems: dict[Part, str] = {}
+        problems: dict[Part, HostError | LinkLost] = {}
 
         async def prepare(part: Part) -> None:
             try:
                 await part.prepare()
-            except HostError as error:
-                problems[part] = str(error)
+            except (HostError, LinkLost) as error:
+                problems[part] = error
 
         async with anyio.create_task_group() as tasks:
             for part in parts:
@@ -256,9 +267,46 @@ class Coordinator:
             raise HostError("\n".join(lines))
         for part, problem in problems.items():
             _log.warning("%s: %s; the others start without it", part.name, problem)
-            part.reason = problem
+            part.reason = str(problem)
             await part.close()
+            # Peers look for the addresses of the start only.
+            if isinstance(problem, LinkLost) and part.config.discovery is not DiscoveryBy.PEERS:
+                self._absent.add(part.name)
         return list(problems)
+
+    async def _add_absent(self) -> None:
+        """Add optional machines that were absent as soon as they answer."""
+        while True:
+            await asyncio.sleep(_ABSENT)
+            for name in tuple(self._absent):
+                if await self._has_joined(name):
+                    self._absent.discard(name)
+
+    async def _has_joined(self, name: str) -> bool:
+        """Try to add a machine; return whether it need not be tried again."""
+        config = self.config
+        if name in self.there or name not in used_machines(config):
+            return True
+        part = self.part(part_of(config, name), self.arguments)
+        joins = False
+        try:
+            await part.prepare()
+            is_same = self.config is config and not self._applying.is_busy
+            is_running = self._tasks is not None and not self._ended.is_set()
+            joins = is_same and is_running and name not in self.there
+            if joins:
+                _log.warning("%s: it answers by now, and is started", name)
+                self.parts[name] = part
+                self.follow(part)
+        except LinkLost:
+            pass
+        except HostError as error:
+            _log.warning("%s: it answers by now, but cannot be used: %s", name, error)
+            return True
+        finally:
+            if not joins:
+                await part.close()
+        return joins
 
     async def _share_addresses(self) -> None:
         """Give each part the addresses of all, for ROS_STATIC_PEERS."""

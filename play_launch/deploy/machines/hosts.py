@@ -126,7 +126,10 @@ async def connect(machine: MachineConfig) -> Host:
 
 
 async def connect_at_first(machine: MachineConfig) -> tuple[Host, About]:
-    """Connect, as often as `connect_timeout` permits: it may just be booted; raises HostError."""
+    """Connect, as often as `connect_timeout` permits: it may just be booted.
+
+    Raises HostError where a person has to act, and LinkLost.
+    """
     left = machine.connect_timeout
     deadline = time.monotonic() + left
     is_reported = False
@@ -143,7 +146,7 @@ async def connect_at_first(machine: MachineConfig) -> tuple[Host, About]:
             text = f"it does not answer: {lost}"
         left = deadline - time.monotonic() - _PAUSE
         if left <= 0:
-            raise HostError(f"{text}; try `ssh {machine.ssh or machine.name} true`")
+            raise LinkLost(f"{text}; try `ssh {machine.ssh or machine.name} true`")
         if not is_reported:
             is_reported = True
             _log.warning("%s: %s; it is tried for %.0f s more", machine.name, text, left)

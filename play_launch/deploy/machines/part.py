@@ -140,13 +140,13 @@ class Part:
         return {**row, "declared": row["declared"].removeprefix(f"{self.bundle.folder}/files")}
 
     async def prepare(self) -> None:
-        """Connect, bring the files there, and let the machine check its part; raises HostError."""
+        """Connect, bring the files there, and let the machine check its part.
+
+        Raises HostError where a person has to act, and LinkLost.
+        """
         await self._connect()
-        try:
-            self.take(self.config, await self.bring(self.config))
-            await require_fit(self.host, self.bundle)
-        except LinkLost as lost:
-            raise HostError(str(lost)) from None
+        self.take(self.config, await self.bring(self.config))
+        await require_fit(self.host, self.bundle)
 
     async def run(self) -> None:
         """Start or adopt the session and follow it to its end; raises HostError."""
