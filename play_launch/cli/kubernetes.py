@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from play_launch.cli import options
-from play_launch.cli.output import fail, make_folder, say, write_file
+from play_launch.cli.output import fail, make_folder, say, warn, write_file
 
 _IMAGE = "play-launch:latest"
 
@@ -40,6 +40,7 @@ def kubernetes(
     recordings are in /var/log/play_launch of that node.
     """
     from play_launch.config.load import load_config  # noqa: PLC0415
+    from play_launch.config.machines import discovery_problems  # noqa: PLC0415
     from play_launch.config.problems import ConfigError  # noqa: PLC0415
     from play_launch.config.substitutions import Inputs, parse_arguments  # noqa: PLC0415
     from play_launch.deploy.kubernetes import (  # noqa: PLC0415
@@ -54,6 +55,8 @@ def kubernetes(
         text = manifests(loaded, workload)
     except ConfigError as error:
         fail(f"{config} cannot be used, nothing was written\n{error.for_people()}")
+    for each in discovery_problems(loaded, {}):
+        warn(each)
     if output is None:
         say(text.rstrip("\n"))
         return

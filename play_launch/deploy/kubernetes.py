@@ -11,7 +11,7 @@ import yaml
 from msgspec import Struct
 
 from play_launch.config.dependency import ABOUT_GRAPH
-from play_launch.config.machines import part_of, used_machines
+from play_launch.config.machines import DiscoveryBy, part_of, used_machines
 from play_launch.deploy.machines.bundle import files_of
 from play_launch.deploy.machines.hosts import HostError
 from play_launch.deploy.unit import stop_seconds
@@ -54,6 +54,11 @@ def manifests(config: ReplayConfig, workload: Workload) -> str:
     names: list[str] = used_machines(config) if config.machines else [""]
     parts = {name: part_of(config, name) if name else config for name in names}
     _refuse_conditions(parts)
+    if len(parts) > 1 and config.discovery is DiscoveryBy.PEERS:
+        raise HostError(
+            "discovery by peers needs the coordinator, which pods do not have: use multicast, or "
+            "set ROS_STATIC_PEERS in environment"
+        )
     if workload.fleet and config.duration is not None:
         raise HostError("duration makes a Job of it, which is no DaemonSet: leave one of them out")
     files = files_of(config, [path for each in config.machines.values() for path in each.copy])

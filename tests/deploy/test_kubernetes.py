@@ -134,6 +134,11 @@ def test_a_folder_gets_an_overlay(tmp_path: Path, image: str, name: str, tag: st
     assert documents((tmp_path / "k8s/system.yaml").read_text())
 
 
+def test_pods_that_would_not_find_each_other_are_warned_of(tmp_path: Path) -> None:
+    local = SYSTEM.replace('"5"', '"5", ROS_AUTOMATIC_DISCOVERY_RANGE: LOCALHOST')
+    assert "its nodes find none of other machines" in written(tmp_path, local)
+
+
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     output = tmp_path / "system.yaml/k8s"
     assert f"{output}: Not a directory" in written(tmp_path, SYSTEM, "-o", str(output), code=1)
@@ -160,6 +165,7 @@ def test_kustomize_moves_all_to_another_namespace_and_image(tmp_path: Path) -> N
     [
         (("{node: talker}", "talker"), (), "wait for a topic, service or node"),
         (("include: more.yaml", "duration: 3 s"), ("--fleet",), "is no DaemonSet"),
+        (("include: more.yaml", "discovery: {by: peers}"), (), "set ROS_STATIC_PEERS"),
         (("vision: {}", "vision: {copy: [nothing]}"), (), "there is no"),
         (("name: sense", "nme: sense"), (), "nothing was written"),
         (("seconds:-9", "seconds:-8"), ("--image", "robot@sha256:1", "-o", "k8s"), "give a tag"),
