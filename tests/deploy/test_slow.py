@@ -79,3 +79,22 @@ def test_a_terminal_that_takes_nothing_holds_up_no_machine(net: Hosts, tmp_path:
         os.close(reading)
         os.close(writing)
     assert not supervisors(net, 3)
+
+
+def test_a_machine_that_answers_again_during_the_stop_is_stopped(
+    net: Hosts, tmp_path: Path
+) -> None:
+    config = system(tmp_path, "returns", more="stop: {sigint: 4 s, sigterm: 1 s}")
+    slow = """[bash, -c, "trap '' INT; sleep 1000"]"""
+    config.write_text(config.read_text().replace('[sleep, "1000"]', slow))
+    with running(net, config) as returns:
+        returns.loaded()
+        net.set_link(3, "down")
+        try:
+            until(lambda: returns.rows()["/listener"]["state"] == "unreachable", "the loss")
+            returns.process.send_signal(signal.SIGINT)
+            until(lambda: "SIGINT: shutting down" in returns.printed(), "the stop")
+        finally:
+            net.set_link(3, "up")
+        assert returns.process.wait(40) == 3  # it was missing when the stop began
+        assert not supervisors(net, 3)

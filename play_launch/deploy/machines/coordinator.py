@@ -380,6 +380,11 @@ class Coordinator:
                 for name in sorted(now):
                     part = self.parts[name]
                     tasks.start_soon(part.stop, float(stop_seconds(part.config)))
+        # A connection that was lost may have come back since its machine was to be stopped.
+        async with anyio.create_task_group() as tasks:
+            for part in self.parts.values():
+                if part.state is MachineState.RUNNING:
+                    tasks.start_soon(part.stop, float(stop_seconds(part.config)))
         lost = any(each.state is MachineState.UNREACHABLE for each in self.parts.values())
         with anyio.move_on_after(0 if lost else _CLOSING):
             while self._followed:
