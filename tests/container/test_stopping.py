@@ -253,3 +253,17 @@ def test_a_node_that_does_not_leave_is_ended(spawn: StartContainer, mode: str) -
         assert "leave" in gone.error_message
         assert is_gone(stuck.pid)
         container.status_when(lambda status: status.undertaken > 0, "the cleanup")
+
+
+def test_after_a_cleanup_that_failed_during_the_stop_no_exit_handlers_run(
+    spawn: StartContainer,
+) -> None:
+    """They might wait for a lock of the dead, when nothing limits the stop any more."""
+    environment = {"PLAY_LAUNCH_DEMO_OPENING": "0", "PLAY_LAUNCH_DEMO_CLOSING": "3600"}
+    failpoints = "container.during_cleanup=hang"
+    container = start(spawn, failpoints=failpoints, environment=environment)
+    container.loaded("play_launch_demo::SlowLibrary", package="play_launch_demo_slow")
+    os.kill(container.loaded("Talker").pid, signal.SIGKILL)
+    container.event(CRASHED)
+    assert container.shut_down() == 0
+    assert "could not clean up" in container.log.read_text()

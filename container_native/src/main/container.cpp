@@ -208,14 +208,15 @@ Container::End Container::run() {
     control_->close(Clock::now() + kFlushLimit);
   }
   node_.reset();
-  // A dead node may hold a lock that exit handlers, such as Fast DDS's, wait for.
-  end.in_order = all_gone && manager_->totals().leaked == 0;
   if (!all_gone) {
     // What is left is used by a thread that cannot be stopped: it may not be taken apart.
     static_cast<void>(host_.release());
     static_cast<void>(manager_.release());
   }
   host_.reset();
+  // A dead node may hold a lock that exit handlers, such as Fast DDS's, wait for. Only now is known
+  // which could not be cleaned up: they count as gone before that.
+  end.in_order = all_gone && manager_->totals().leaked == 0;
   manager_.reset();
   return end;
 }
