@@ -17,9 +17,12 @@ from play_launch.deploy.machines.hosts import HostError
 from play_launch.deploy.unit import stop_seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from play_launch.config.model import ReplayConfig
+
+    _Items = dict[str, dict[str, str]]
+    """By path: the key in the ConfigMap, and the path below the mounted folder."""
 
 _LARGEST: Final = 900_000
 """Bytes in a ConfigMap, of which etcd takes 1 MiB."""
@@ -62,8 +65,9 @@ def manifests(config: ReplayConfig, workload: Workload) -> str:
     if workload.fleet and config.duration is not None:
         raise HostError("duration makes a Job of it, which is no DaemonSet: leave one of them out")
     files = files_of(config, [path for each in config.machines.values() for path in each.copy])
-    documents: list[dict[str, Any]] = [_config_map(config, files)]
-    documents += [_workload(config, part, workload, name, files) for name, part in parts.items()]
+    items = _items(files)
+    documents: list[dict[str, Any]] = [_config_map(config, files, items)]
+    documents += [_workload(config, part, workload, name, items) for name, part in parts.items()]
     return yaml.safe_dump_all(documents, sort_keys=False, default_flow_style=False, width=100)
 
 
@@ -103,7 +107,7 @@ def _refuse_conditions(parts: dict[str, ReplayConfig]) -> None:
                     )
 
 
-def _config_map(config: ReplayConfig, files: Mapping[str, bytes]) -> dict[str, Any]:
+def _config_map(config: ReplayConfig, files: Mapping[str, bytes], items: _Items) -> dict[str, Any]:
     size = sum(map(len, files.values()))
     if size > _LARGEST:
         raise HostError(
@@ -111,7 +115,7 @@ def _config_map(config: ReplayConfig, files: Mapping[str, bytes]) -> dict[str, A
             "move maps and the like into the image, or onto a volume"
         )
     data: dict[str, str] = {}
-    for path, item in _items(files).items():
+    for path, item in items.items():
         try:
             data[item["key"]] = files[path].decode()
         except UnicodeDecodeError:
@@ -124,8 +128,8 @@ def _config_map(config: ReplayConfig, files: Mapping[str, bytes]) -> dict[str, A
     }
 
 
-def _items(files: Iterable[str]) -> dict[str, dict[str, str]]:
-    """Return for each file its key in the ConfigMap, and its path below the mounted folder."""
+def _items(files: Iterable[str]) -> _Items:
+    """Give each file its place in the ConfigMap and in the pod."""
     top = os.path.commonpath([os.path.dirname(path) for path in files])  # noqa: PTH120
     found: dict[str, dict[str, str]] = {}
     for path in sorted(files):
@@ -139,17 +143,13 @@ def _items(files: Iterable[str]) -> dict[str, dict[str, str]]:
 
 
 def _workload(
-    config: ReplayConfig,
-    part: ReplayConfig,
-    workload: Workload,
-    machine: str,
-    files: Collection[str],
+    config: ReplayConfig, part: ReplayConfig, workload: Workload, machine: str, items: _Items
 ) -> dict[str, Any]:
     name = _plain(f"{config.name}-{machine}" if machine else config.name)
     labels = {_NAME: name, _PART_OF: _plain(config.name)}
     template = {
         "metadata": {"labels": labels},
-        "spec": _pod(config, part, workload, machine, files),
+        "spec": _pod(config, part, workload, machine, items),
     }
     metadata = {"name": name, "labels": labels}
     if config.duration is not None:
@@ -172,13 +172,8 @@ def _workload(
 
 
 def _pod(
-    config: ReplayConfig,
-    part: ReplayConfig,
-    workload: Workload,
-    machine: str,
-    files: Collection[str],
+    config: ReplayConfig, part: ReplayConfig, workload: Workload, machine: str, items: _Items
 ) -> dict[str, Any]:
-    items = _items(files)
     source = f"{_FOLDER}/{items[str(config.source.absolute())]['path']}"
     # Of a changed ConfigMap only what differs is applied.
     words = ["play-launch", "replay", "--quiet", "--watch"]

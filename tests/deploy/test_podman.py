@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 pytestmark = pytest.mark.skipif(
-    not shutil.which("podman") or os.geteuid() != 0, reason="needs podman, and root"
+    not (shutil.which("podman") and shutil.which("runc")) or os.geteuid() != 0,
+    reason="needs podman with runc, and root",
 )
 IMAGE = "localhost/play-launch-test:1"
 CONTAINER = "robot-pod-0-play-launch"
@@ -49,8 +50,6 @@ default_ulimits = ["nofile=16384:16384", "nproc=30000:30000"]
 runtime = "runc"
 events_logger = "file"
 cgroup_manager = "cgroupfs"
-[network]
-network_backend = "netavark"
 """
 
 

@@ -152,9 +152,8 @@ class StartChecks:
         for dependency in rule.dependencies:
             if self.holds(dependency) or (unit, dependency) in self._held:
                 continue
-            can_wait = (
-                dependency.machine or not dependency.unit
-            ) and waited < dependency.timeout - SLACK
+            is_outside = bool(dependency.machine) or not dependency.unit
+            can_wait = is_outside and waited < dependency.timeout - SLACK
             if dependency.on_timeout is OnTimeout.FAIL or can_wait:
                 raise BrokenError(name, f"{unit} starts without {dependency}", (unit,))
 

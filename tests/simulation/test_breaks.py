@@ -16,29 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 MOST_SEEDS: Final = 600
-FIRST: Final = (
-    0,
-    400,
-    13,
-    45,
-    56,
-    164,
-    27,
-    10,
-    5,
-    34,
-    6,
-    62,
-    41,
-    7,
-    92,
-    17,
-    12,
-    228,
-    301,
-    244,
-    102187,
-)
+FIRST: Final = (102187, 0, 94, 6, 29, 164, 3, 5, 34, 9, 15, 92, 7, 12, 62, 228, 27, 120, 244)
 """Seeds each of which found a break that those before it did not; they are tried first."""
 
 
