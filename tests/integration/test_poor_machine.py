@@ -333,6 +333,6 @@ def is_held_up(pid: int) -> bool:
     """Whether a thread of a process waits for the server of a mount."""
     waits = []
     for task in Path(f"/proc/{pid}/task").iterdir():
-        with contextlib.suppress(FileNotFoundError):  # a thread that has ended since
+        with contextlib.suppress(OSError):  # a thread that has ended since
             waits.append((task / "wchan").read_text())
     return any("fuse" in wait or "request_wait" in wait for wait in waits)
