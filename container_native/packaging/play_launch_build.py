@@ -53,7 +53,8 @@ def ros_wheels(pyproject: Path, ros: str) -> list[str]:
     build = settings["tool"]["play-launch"]["build"]
     if ros not in run:
         _stop_on(
-            f"there are no wheels of ROS {ros}; -C ros=NAME is one of {', '.join(sorted(run))}"
+            f"there are no wheels of ROS {ros}; --config-settings ros=NAME is one of "
+            f"{', '.join(sorted(run))}"
         )
     return sorted({*run[ros], *build[ros], *build["tools"]})
 

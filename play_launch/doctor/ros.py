@@ -68,7 +68,7 @@ _RCLPY_FIX: Final = (
     "source a ROS 2 installation that fits this Python, or pip install 'play-launch-py[jazzy]'"
 )
 _STOCK_FIX: Final = (
-    "source a ROS 2 installation; with ROS's wheels, in a checkout: pip install -C "
+    "source a ROS 2 installation; with ROS's wheels, in a checkout: pip install --config-settings "
     "cmake.define.PLAY_LAUNCH_PYTHON_INTERFACES=ON ./container_native"
 )
 _IMPORT_TIMEOUT: Final = 60.0

@@ -33,6 +33,19 @@ def test_one_version_stands_everywhere() -> None:
     )
 
 
+def test_commands_for_pip_are_for_that_of_debian_12() -> None:
+    """Which is 23.0, and has `--config-settings` without the short form."""
+    pages = (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))
+    commands = [
+        line
+        for page in pages
+        for line in page.read_text().splitlines()
+        if "pip install" in line or "--config-settings" in line
+    ]
+    assert any("--config-settings" in command for command in commands)
+    assert not [command for command in commands if re.search(r"\s-C\s", command)]
+
+
 def test_the_supervisor_is_for_any_machine_and_has_all_it_reads(tmp_path: Path) -> None:
     build = "import sys; from hatchling.build import build_wheel; build_wheel(sys.argv[1])"
     subprocess.run([sys.executable, "-c", build, tmp_path], cwd=ROOT, check=True)
