@@ -13,7 +13,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.config.compose import Reading, Tally, compose
-from play_launch.config.problems import Location, excerpt
+from play_launch.config.problems import KNOWN, Location, excerpt
 from play_launch.config.source import Refused, decode, path_from
 from play_launch.config.tree import Cursor, Entry, Mapping, Scalar, ScalarKind, Sequence
 
@@ -170,7 +170,7 @@ class Documents:
 def _arguments(entry: Cursor) -> dict[str, Cursor]:
     for key, value in entry.entries():
         if key.key not in {"file", "arguments", "machine"}:
-            message = f"unknown key {excerpt(key.key)}; known here: file, arguments, machine"
+            message = f"unknown key {excerpt(key.key)}{KNOWN}file, arguments, machine"
             value.problem(message, key.location)
     at = entry.value("arguments")
     if at is None:

@@ -6,10 +6,13 @@ import re
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+KNOWN = "; known here: "
+"""What is between a mistake and the list of what could stand there."""
 _LONGEST_EXCERPT = 60
 _MOST_SHOWN = 50
 _PLAIN_KEY = re.compile(r"[\w\-./~*]+")
@@ -77,8 +80,13 @@ class ConfigError(Exception):
         return "\n".join(str(problem) for problem in self.problems)
 
     def for_people(self) -> str:
-        """Return the text of the first problems, and how many more there are."""
-        lines = [str(problem) for problem in self.problems[:_MOST_SHOWN]]
+        """Return the first problems, each list of choices once, and how many more there are."""
+        lines = []
+        listed = set()
+        for problem in self.problems[:_MOST_SHOWN]:
+            mistake, _, choices = problem.message.partition(KNOWN)
+            lines.append(str(replace(problem, message=mistake) if choices in listed else problem))
+            listed.add(choices)
         if left := len(self.problems) - len(lines):
             lines.append(f"and {left:,} more; play-launch check --json lists them all")
         return "\n".join(lines)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from pydantic_core import SchemaValidator, ValidationError, core_schema
 
-from play_launch.config.problems import Report, excerpt
+from play_launch.config.problems import KNOWN, Report, excerpt
 from play_launch.config.text import similar
 from play_launch.config.tree import Cursor, Mapping, Scalar, ScalarKind, Sequence, describe_node
 
@@ -265,7 +265,7 @@ def _unknown_key(key: str, known: list[str], report: Report) -> str:
         close = similar(key.lower().replace("-", "_"), known)
         if close:
             return f"unknown key {excerpt(key)}; did you mean {excerpt(close)}?"
-    return f"unknown key {excerpt(key)}; known here: {', '.join(known)}"
+    return f"unknown key {excerpt(key)}{KNOWN}{', '.join(known)}"
 
 
 def _message(details: ErrorDetails, node: Node) -> str:

@@ -17,7 +17,7 @@ from msgspec import Struct, field
 
 from play_launch import UserError
 from play_launch.config.model import TakenValues
-from play_launch.config.problems import excerpt
+from play_launch.config.problems import KNOWN, excerpt
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -188,7 +188,7 @@ def _braces(
     kind = found["kind"]
     if kind not in {"env", "arg"}:
         raise SubstitutionError(
-            f"{excerpt(text[found.start() : found.end()] + '…}')} is no substitution; known here: "
+            f"{excerpt(text[found.start() : found.end()] + '…}')} is no substitution{KNOWN}"
             "${env:NAME} and ${arg:NAME}; write $${ for the characters ${ themselves"
         )
     matched = _NAME.match(text, found.end())

@@ -259,6 +259,24 @@ def test_thousands_of_mistakes_do_not_flood_the_screen(verb: str, tmp_path: Path
     assert len(problems) == 50 + int(count[1].replace(",", ""))
 
 
+def test_the_same_choices_are_listed_once(tmp_path: Path) -> None:
+    config = tmp_path / "c.yaml"
+    config.write_text(
+        "version: 1\nnodes:\n" + "  - {command: [x], oddity: 1}\n" * 3 + "odd: 1\nrare: 1\n"
+    )
+    lines = run("check", config).stderr.splitlines()[1:]
+    keys = [line.partition("unknown key ")[2].partition(";")[::2] for line in lines]
+    assert [(key, bool(choices)) for key, choices in keys] == [
+        ('"oddity"', True),
+        ('"oddity"', False),
+        ('"oddity"', False),
+        ('"odd"', True),
+        ('"rare"', False),
+    ]
+    every = json.loads(run("check", "--json", config).stdout)["problems"]
+    assert all("; known here: " in problem["message"] for problem in every)
+
+
 @pytest.mark.parametrize("home", [None, ""])
 def test_without_a_folder_for_ros_s_log_nothing_is_started(
     home: str | None, tmp_path: Path
