@@ -89,6 +89,7 @@ _ALL: Final = (
     Verb("unload", CONTROL, "Unload composable nodes.", "operate"),
     Verb("reload", CONTROL, "Unload composable nodes and load them again.", "operate"),
     Verb("signal", CONTROL, "Send a signal to processes.", "operate"),
+    Verb("shutdown", CONTROL, "End a session in order.", "operate"),
     Verb("diff", CONTROL, "Compare a session with a configuration.", "apply"),
     Verb("apply", CONTROL, "Change a session to match a configuration."),
     Verb("param", CONTROL, "Get, set and dump parameters of nodes."),

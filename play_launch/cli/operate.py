@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
+import select
+from signal import SIGTERM, pidfd_send_signal
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from play_launch import ExitCode
 from play_launch.cli import options
-from play_launch.cli.connection import connected
+from play_launch.cli.connection import connected, report_end
 from play_launch.cli.output import printable, say, size
-from play_launch.control.protocol import OperationError
+from play_launch.control.protocol import Code, OperationError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -73,6 +77,35 @@ def signal(
 ) -> None:
     """Send a signal to containers, processes or isolated nodes."""
     _operate("signal", {"names": names, "signal": signal}, timeout, session, as_json=as_json)
+
+
+def shutdown(
+    timeout: Annotated[
+        float,
+        options.time("How long to wait; the stop itself continues.", "--timeout", default="60s"),
+    ] = 60.0,
+    session: options.Session = None,
+    as_json: options.Json = False,
+) -> int:
+    """End a session in order, as SIGTERM does, and wait until its recording is closed."""
+    with connected(session) as client:
+        folder = client.hello.folder
+        try:
+            # The session is connected: its number belongs to no other process yet.
+            pidfd = os.pidfd_open(client.peer().pid)
+            with os.fdopen(pidfd, "rb", buffering=0):
+                pidfd_send_signal(pidfd, SIGTERM)
+                has_ended = bool(select.select([pidfd], [], [], timeout)[0])
+        except OSError as error:
+            raise OperationError(
+                Code.REFUSED, f"{folder}: its process cannot be reached from here: {error}"
+            ) from None
+        if not has_ended:
+            raise OperationError(Code.TIMEOUT, f"{folder}: it is not over after {timeout:g} s")
+        status = report_end(client.hello)
+        if as_json and status == ExitCode.OK:
+            say(json.dumps({"folder": folder}))
+        return status
 
 
 def snapshot(session: options.Session = None, as_json: options.Json = False) -> None:

@@ -76,6 +76,7 @@ ASKED = {
     "param dump": ["talker"],
     "snapshot": [],
     "expect": [],
+    "shutdown": [],
 }
 
 

@@ -33,6 +33,28 @@ while True:
 """
 
 
+def test_a_session_is_ended_in_order_from_another_shell(tmp_path: Path) -> None:
+    deaf, config = tmp_path / "deaf.py", tmp_path / "robot.yaml"
+    deaf.write_text(DEAF, encoding="utf-8")
+    config.write_text(
+        "version: 1\nstop: {sigint: 300 s, sigterm: 300 s}\nnodes:\n"
+        f"- {{name: deaf, command: [{sys.executable}, {deaf}]}}\n",
+        encoding="utf-8",
+    )
+    with replaying(config, tmp_path / "logs") as replay:
+        replay.read_until(lambda event: event.get("text") == "deaf now", "a deaf process")
+        late = replay.ask("shutdown", "--timeout", "0.1s", code=4)
+        assert "is not over after 0.1 s" in late.stderr
+        assert replay.ask("ps", code=0).stdout.count("stopping") == 1
+        # Again: SIGTERM without 300 s for SIGINT, and SIGKILL.
+        replay.ask("shutdown", "--timeout", "0.1s", code=4)
+        replay.ask("shutdown", code=0)
+        assert replay.process.wait(0) == 128 + signal.SIGTERM
+        assert replay.bag.read_bytes().endswith(b"\x89MCAP0\r\n")
+        gone = replay.ask("shutdown", code=1)
+        assert "no session is running in" in gone.stderr
+
+
 def test_nobody_waits_for_what_does_not_come_up_any_more(tmp_path: Path) -> None:
     deaf, config = tmp_path / "deaf.py", tmp_path / "robot.yaml"
     deaf.write_text(DEAF, encoding="utf-8")
