@@ -12,10 +12,11 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.config.model import ContainerConfig
+from play_launch.supervisor import node_rules
 from play_launch.supervisor.conditions import unit_state
 from play_launch.supervisor.inputs import Raised, SetParameters
 from play_launch.supervisor.plan import Need, PlanAction, PlanKind, Result, StepOutcome
-from play_launch.supervisor.world import Goal, Node, Process, Stage
+from play_launch.supervisor.world import Goal, Node, Process
 
 if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 _BECAUSE: Final = "the configuration has changed"
 _STUCK: Final = "its process does not die, not even of SIGKILL"
-_TRUSTED: Final = {"stage": Stage.TRUSTED, "deaths": 0}
 
 
 class OpenStep(Struct, frozen=True):
@@ -209,7 +209,7 @@ def _begin(step: Reduction, change: Change, plan_step: Step) -> OpenStep:
 def _adopt(world: World, change: Change, plan_step: Step) -> None:
     unit, config = world.find(plan_step.name), change.target.parts[plan_step.name]
     if isinstance(unit, Node):
-        world.put(unit, config=config, **_TRUSTED)
+        world.put(unit, config=config, **node_rules.TRUSTED)
     elif unit is not None:
         world.put(unit, config=config)
 
@@ -222,7 +222,7 @@ def _replace(world: World, change: Change, plan_step: Step) -> None:
     world.dismissed -= recalled & change.recalls
     anew = {"is_requested": True, "is_removed": False}
     if isinstance(unit, Node):
-        world.put(unit, config=config, next_at=None, **anew, **_TRUSTED)
+        world.put(unit, config=config, next_at=None, **anew, **node_rules.TRUSTED)
     elif unit is not None:
         world.put(unit, next_config=config, request_reason=_BECAUSE, **anew)
     else:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from play_launch.supervisor.reducer import Reduction
     from play_launch.supervisor.world import Node, Process
 
+TRUSTED: Final = {"stage": Stage.TRUSTED, "deaths": 0}
+"""Values of a node that is not in quarantine."""
 _REFUSABLE: Final = frozenset({NodeState.PENDING, NodeState.LOST, NodeState.LOAD_FAILED})
 
 
@@ -91,7 +93,7 @@ def _apply(
     world.put(node, query_at=now + limit if state in AWAITED else None)
     if before.state in LOADING and state not in LOADING and fact is not NodeFact.CONTAINER_LOST:
         # The container has survived it.
-        world.put(step.node(node.key), stage=Stage.TRUSTED, deaths=0)
+        world.put(step.node(node.key), **TRUSTED)
     if has_changed and state is NodeState.LOAD_FAILED and _renews(step, node, said):
         return
     for action in actions:
@@ -130,7 +132,9 @@ def _with_report(node: Node, said: NodeReported, *, has_changed: bool) -> Node:
         values["unique_id"] = said.unique_id
     if said.pid:
         values |= {"pid": said.pid, "start_time": said.start_time}
-    if has_changed or said.said is NodeFact.STATUS_CONSTRUCTING:
+    # A late answer says nothing about one that has failed meanwhile.
+    is_slow = said.said is NodeFact.STATUS_CONSTRUCTING and node.state in AWAITED
+    if has_changed or is_slow:
         values |= {
             "reason": said.reason,
             "outcome": Outcome(said.cause),
@@ -245,6 +249,14 @@ def due(step: Reduction, key: NodeKey) -> None:
 
 
 # The container of nodes.
+
+
+def container_requested(step: Reduction, container: Process) -> None:
+    """Give all nodes a new chance: the container is started by an operator, or a change."""
+    for node in step.world.nodes_of(container.name):
+        is_requested = node.is_requested or node.state is NodeState.GAVE_UP
+        history = RestartHistory(total=node.restarts.total)
+        step.world.put(node, is_requested=is_requested, restarts=history, **TRUSTED)
 
 
 def container_stops(step: Reduction, container: Process) -> None:

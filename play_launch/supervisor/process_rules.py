@@ -326,6 +326,7 @@ def _begin(step: Reduction, process: Process) -> None:
         restarts=RestartHistory(total=process.restarts.total),
         request_reason="",
     )
+    node_rules.container_requested(step, process)
     apply(step, process.name, Fact.START)
 
 

@@ -7,7 +7,7 @@ be the cause. What may be done with it depends on how many deaths in a row it wa
   node is not loaded; its library is tried again when the container restarts, for it may have been
   replaced. If it can, the node is loaded as usual.
 * After the second one the library is not the cause, but the constructor may be. Such nodes are
-  loaded one at a time, so that the next death has one possible cause only.
+  loaded after all others and one at a time, so that the next death has one possible cause only.
 * A node that was the only one being loaded at its second death, and any node at its third, is not
   loaded again in this session.
 
@@ -21,8 +21,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.supervisor import node_rules
+from play_launch.supervisor.events import NodeState
 from play_launch.supervisor.inputs import Probe, blamed_frame
-from play_launch.supervisor.transitions import LOADING
+from play_launch.supervisor.transitions import IDLE, LOADING
 from play_launch.supervisor.world import Stage, is_wanted
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ MOST_DEATHS: Final = 3
 _DEATHS_ALONE: Final = 2
 """Deaths after which a node is refused that was the only one being loaded, and from which on it is
 loaded alone."""
+_LOADABLE: Final = frozenset({Stage.TRUSTED, Stage.CLEARED})
 ALONE_LIMIT: Final = 60.0
 """Seconds after which a load under way no longer keeps others from being loaded alone."""
 
@@ -94,9 +96,9 @@ def probed(step: Reduction, said: Probed) -> None:
 
 
 def may_load(world: World, node: Node, now: float) -> bool:
-    """Whether a cleared node is loaded now, beside the loads that are under way."""
-    if node.stage is not Stage.CLEARED:
-        return node.stage is Stage.TRUSTED
+    """Whether a node is loaded now, beside the loads that are under way; suspects come last."""
+    if node.stage not in _LOADABLE:
+        return False
     all_ = tuple(world.nodes_of(node.key.container))
     since = now - ALONE_LIMIT
     others = [each for each in all_ if each.state in LOADING and each.sent_at >= since]
@@ -104,15 +106,17 @@ def may_load(world: World, node: Node, now: float) -> bool:
         return False
     if not _is_alone(node):
         return True
-    cleared = [
+    into = world.processes[node.key.container].attempt
+    due = [
         each
         for each in all_
-        if each.stage is Stage.CLEARED
-        and each.state not in LOADING
+        if each.stage in _LOADABLE
+        and each.state in IDLE - {NodeState.GAVE_UP}
+        and each.loaded_into != into
         and each.wait is None
         and is_wanted(world, each)
     ]
-    return not others and all(_is_alone(each) for each in cleared) and cleared[0].key == node.key
+    return not others and all(_is_alone(each) for each in due) and due[0].key == node.key
 
 
 def _is_alone(node: Node) -> bool:

@@ -141,7 +141,8 @@ def _operate(step: Reduction, said: inputs.StartRequested | inputs.EndRequested)
     world.dismissed -= {said.unit}
     values: dict[str, object] = {"wait": None}
     if isinstance(unit, Process):
-        runs = was_wanted and unit.phase not in INACTIVE | {Phase.STOPPING, Phase.BACKOFF}
+        idle = {*INACTIVE, Phase.STOPPING, Phase.BACKOFF, Phase.QUEUED}
+        runs = was_wanted and unit.phase not in idle
         is_new = said.anew or not runs
         values["request_reason"] = said.reason if said.anew else ""
     else:

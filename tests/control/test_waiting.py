@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -53,6 +54,29 @@ def test_a_session_is_ended_in_order_from_another_shell(tmp_path: Path) -> None:
         assert replay.bag.read_bytes().endswith(b"\x89MCAP0\r\n")
         gone = replay.ask("shutdown", code=1)
         assert "no session is running in" in gone.stderr
+
+
+def test_a_requested_container_brings_nodes_that_gave_up(tmp_path: Path) -> None:
+    config = tmp_path / "robot.yaml"
+    config.write_text(
+        "version: 1\ncontainers:\n- name: box\n  container_type: isolated\n"
+        "  restart: {max_restarts: 3}\n  composable_nodes:\n"
+        "  - {package: play_launch_demo, plugin: 'play_launch_demo::Talker', name: talker,\n"
+        "     restart: {max_restarts: 0}}\n",
+        encoding="utf-8",
+    )
+    with replaying(config, tmp_path / "logs") as replay:
+        replay.until(event="node", node="/talker", state="loaded")
+        replay.until_operable()
+        replay.ask("signal", "SEGV", "/talker", code=0)
+        replay.until(event="node", node="/talker", state="gave up")
+        os.kill(replay.pids()["/box"], signal.SIGKILL)
+        replay.until(event="container", container="/box", state="backoff")
+        replay.until(event="container", container="/box", state="running")
+        rows = json.loads(replay.ask("ps", "--json", "/talker").stdout)
+        assert [each["state"] for each in rows] == ["gave up"]  # by itself it stays so
+        replay.ask("restart", "/box", code=0)
+        replay.until(event="node", node="/talker", state="loaded")
 
 
 def test_nobody_waits_for_what_does_not_come_up_any_more(tmp_path: Path) -> None:

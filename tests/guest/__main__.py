@@ -57,6 +57,7 @@ cd /new; exec $B switch_root /new /bin/bash /job/main
 """
 MAIN = """export HOME=/root LANG=C.UTF-8 PATH={path} PYTHON={python} SLOW=10
 export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST NATIVE_TESTS={native_tests}
+export PYTEST_DEBUG_TEMPROOT=/job  # /tmp is as a user has it who is not root
 cd {folder}
 for case in {cases}; do
   name=$(basename $case)

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from play_launch.config.model import ContainerType
 from play_launch.config.node_key import NodeKey
-from play_launch.container.messages import Load, Query
+from play_launch.container.messages import Load, Query, Status
 from play_launch.control.event_words import event_object
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
@@ -140,6 +140,42 @@ async def test_a_constructor_that_takes_the_container_down_is_refused_in_the_end
     assert not any(sys.node_events(name, NodeState.LOAD_FAILED) for name in ("/a", "/b", "/x"))
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 1
+
+
+async def test_a_refused_node_comes_with_its_container_when_that_is_restarted_by_request() -> None:
+    fakes = FakeLauncher(makers={"/c": [Dies, Dies, Dies, FakeContainer]})
+    async with running(system(container("c", "bad", max_restarts=5)), fakes) as sys:
+        await sys.until(lambda: NodeState.LOAD_FAILED in sys.node_states("/bad"))
+        await sys.until_state("/c", ContainerState.RUNNING)
+        sys.operated.restart("/c")
+        await sys.until_loaded(1)
+        assert starts(sys) == 4
+
+
+async def test_a_refused_node_that_was_requested_has_its_chance_although_its_container_ends() -> (
+    None
+):
+    class Stuck(Dies):
+        """Finds a lock that stays locked while the requested load hangs."""
+
+        hangs = False
+
+        def on_load(self, load: Load) -> None:
+            if load.node_name == "bad":
+                self.hangs = True
+            else:
+                super().on_load(load)
+
+        def on_watch(self, query: Query) -> None:
+            locks = ("thread 12 waits",) if self.hangs else ()
+            self.link.say(Status(query_id=query.query_id, dead_locks=locks))
+
+    fakes = FakeLauncher(makers={"/c": [Dies, Dies, Stuck, FakeContainer]})
+    async with running(system(container("c", "bad", max_restarts=5)), fakes) as sys:
+        await sys.until(lambda: NodeState.LOAD_FAILED in sys.node_states("/bad"))
+        sys.operated.start(NodeKey("/c", "/bad"))
+        await sys.until_loaded(1)
+        assert starts(sys) == 4
 
 
 async def test_the_only_node_is_refused_after_its_second_death_and_its_container_stays() -> None:

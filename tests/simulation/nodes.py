@@ -31,11 +31,18 @@ class Nodes:
 
     def __init__(self, machine: Machine) -> None:
         self._machine = machine
+        self._killers: dict[NodeKey, bool] = {}
 
     def of(self, key: NodeKey) -> list[Loaded]:
         """Find all instances that exist now."""
         procs = self._machine.live(key.container)
         return [each for proc in procs for each in proc.nodes.values() if each.key == key]
+
+    def _is_killer(self, key: NodeKey) -> bool:
+        """Whether it mostly kills its container: one of thirty."""
+        if key not in self._killers:
+            self._killers[key] = self._machine.chance.number(f"killer: {key}") < 1 / 30
+        return self._killers[key]
 
     def report(self, proc: Proc, node: Loaded, fact: NodeFact, **values: Any) -> None:
         machine, key = self._machine, node.key
@@ -71,7 +78,7 @@ class Nodes:
         if proc.hangs or machine.is_unlucky(0.1, f"constructor hangs: {key}"):
             return
         delay += machine.soon(1.0, f"construction {key}")
-        if machine.is_unlucky(0.2, f"kills its container: {key}"):
+        if machine.is_unlucky(1.6 if self._is_killer(key) else 0.2, f"kills its container: {key}"):
             machine.later(delay, lambda: machine.processes.end(proc, signal=11))
             return
         machine.later(delay, lambda: self._construct(proc, node))

@@ -174,6 +174,9 @@ class RestChecks:
         hangs = any(each.hangs or each.ignores_kill for each in live)
         if unit in seen.anew and seen.attempts.get(key) == seen.anew[unit][1] and not hangs:
             raise BrokenError("what is asked for is done", unit, (unit,))
+        if unit in seen.owed and not hangs:
+            text = f"{unit}: {state} although its container was requested"
+            raise BrokenError("what is asked for is done", text, (unit,))
         node = machine.world.nodes[key]
         is_loaded = any(each.is_loaded for each in there)
         match state:

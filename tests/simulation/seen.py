@@ -98,6 +98,10 @@ class Seen:
         self.attempts: dict[NodeKey, int] = {}
         self.gave_up: set[str] = set()
         """Units that were reported as given up, and not requested since."""
+        self.asked: set[str] = set()
+        """Those of them that a person requested."""
+        self.owed: set[str] = set()
+        """Nodes that have to be loaded into their container, whose start was requested."""
         self.killers: defaultdict[NodeKey, int] = defaultdict(int)
         """Deaths of its container in a row while a node was being loaded."""
         self.killed: dict[str, float] = {}
@@ -164,6 +168,7 @@ class Seen:
         if starts.start and starts.ending is None and not is_ending:
             return  # it runs, so nothing is started
         self.requested.add(unit)
+        self.asked.add(unit)
         self.gave_up.discard(unit)
         starts.restarts.clear()
 
@@ -213,6 +218,7 @@ class Seen:
             under_way=under_way,
         )
         starts.deaths += 1
+        self.owed -= {each for each in self.owed if unit_of(each) == one.unit}
         if not starts.was_stopped and not starts.was_killed and exited:
             for key in under_way:
                 self.killers[key] += 1
@@ -232,9 +238,11 @@ class Seen:
                 starts.is_fatal = starts.was_stopped = starts.was_killed = False
                 starts.exits = 0
                 self.requested.discard(effect.unit)
+                self.asked.discard(effect.unit)
             case said.Load():
                 self.attempts[effect.node] = effect.attempt
                 self.crashed.pop(effect.node, None)
+                self.owed.discard(str(effect.node))
                 self.requested.discard(str(effect.node))
             case said.Stop():
                 self.starts[effect.unit].was_stopped = True
@@ -242,6 +250,8 @@ class Seen:
                 self.starts[effect.unit].was_killed = True
                 self.killed[effect.unit] = machine.now
             case StepOutcome():
+                if ":/" in effect.step.name:  # it began anew at some moment of the step
+                    self.killers.pop(NodeKey.parsed(effect.step.name), None)
                 if effect.result is Result.FAILED:
                     self.requested.add(effect.step.name)
                 has_failed = (
@@ -272,7 +282,7 @@ class Seen:
                 if was in LOADING and event.state not in {*LOADING, NodeState.LOST}:
                     self.killers.pop(event.key, None)
             case Withdrawn():
-                for units in (self.dismissed, self.unsure, self.requested, self.gave_up):
+                for units in (self.dismissed, self.unsure, self.requested, self.gave_up, self.owed):
                     units.discard(event.key)
                     units -= {each for each in units if each.startswith(f"{event.key}:/")}
                 self.anew.pop(event.key, None)
@@ -292,6 +302,10 @@ class Seen:
         """Begin anew with the nodes of a container."""
         for key in [key for key in self.killers if key.container == container]:
             del self.killers[key]
+        nodes = {str(key) for key in self._machine.world.nodes if key.container == container}
+        self.gave_up -= nodes
+        if container in self.asked:
+            self.owed |= nodes - self._machine.world.config.start_rules.keys()
 
     def is_dismissed(self, unit: str) -> bool:
         """Whether it must not run."""

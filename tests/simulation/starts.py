@@ -9,7 +9,7 @@ from play_launch.config.model import ContainerType, OnExit
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import ManagedNodeChanged, ManagedState, NodeState
 
-from .seen import BrokenError
+from .seen import LOADING, BrokenError
 
 if TYPE_CHECKING:
     from play_launch.config.dependency import Dependency
@@ -23,6 +23,10 @@ EXCUSED: Final = 3
 """Restarts beyond the limit that the search for the node that kills its container may take."""
 MOST_DEATHS: Final = 3
 """Of its container, after which a node is not loaded any more."""
+SUSPECT: Final = 2
+"""Deaths after which it is loaded alone."""
+ALONE: Final = 60.0
+"""Seconds for which a load keeps others waiting."""
 REPEATS: Final = frozenset({64, 125, 126, 127})
 """Exit codes that the next start would repeat."""
 NEVER_RAN: Final = frozenset({126, 127})
@@ -37,8 +41,12 @@ class StartChecks:
         self._machine = machine
         self._seen = seen
         self._first: set[str] = set()
+        self._sent: dict[NodeKey, float] = {}
+        """When the latest load of a node was sent."""
         self._held: set[tuple[str, Dependency]] = set()
         """What held once while a container waited, which may then have waited for its turn."""
+        self._delayed: set[str] = set()
+        """Nodes whose delay was over once; a suspect may have kept them waiting then."""
 
     def spawn(self, effect: said.Spawn) -> None:
         machine, seen, unit = self._machine, self._seen, effect.unit
@@ -117,6 +125,7 @@ class StartChecks:
 
     def load(self, effect: said.Load) -> None:
         machine, seen, key = self._machine, self._seen, effect.node
+        self._sent[key] = machine.now
         unit, procs = str(key), machine.live(effect.node.container)
         self._conditions(unit)
         if procs and not procs[-1].is_ready:
@@ -135,6 +144,29 @@ class StartChecks:
         if is_ours and seen.killers[key] >= MOST_DEATHS:
             text = f"{key}: {seen.killers[key]} deaths"
             raise BrokenError("what kills its container is not loaded again", text, (unit,))
+        if is_ours:
+            self._is_alone(key)
+
+    def _is_alone(self, key: NodeKey) -> None:
+        """Judge a load beside others: whichever is there at a second death is loaded alone."""
+        seen, now, nodes = self._seen, self._machine.now, self._machine.world.nodes
+        is_reload = seen.crashed.get(key) == seen.starts[key.container].start
+        # With a change nodes begin anew at a moment that only the supervisor knows.
+        if is_reload or nodes[key].resent or seen.has_changed:
+            return
+        beside = [
+            other
+            for other, at in self._sent.items()
+            if other in nodes
+            and other.container == key.container
+            and other != key
+            and now - at < ALONE
+            and seen.shown.get(other) in LOADING
+            and nodes[other].attempt == seen.attempts.get(other)  # not sent in this very step
+        ]
+        if beside and any(seen.killers[each] >= SUSPECT for each in (key, *beside)):
+            text = f"{key} beside {', '.join(map(str, beside))}"
+            raise BrokenError("what may kill its container is loaded alone", text, (str(key),))
 
     # Conditions.
 
@@ -147,7 +179,7 @@ class StartChecks:
         if rule is None or self._seen.is_requested(unit) or self._seen.has_changed:
             return
         name, waited = "nothing starts before its conditions hold", self._waited(unit)
-        if waited < rule.delay - SLACK:
+        if waited < rule.delay - SLACK and unit not in self._delayed:
             raise BrokenError(name, f"{unit} starts without its delay", (unit,))
         for dependency in rule.dependencies:
             if self.holds(dependency) or (unit, dependency) in self._held:
@@ -166,6 +198,10 @@ class StartChecks:
                 and unit in self._machine.view.containers
             ):
                 self._held |= {(unit, each) for each in rule.dependencies if self.holds(each)}
+            if ":/" in unit and unit not in self._first:
+                procs = self._machine.live(NodeKey.parsed(unit).container)
+                if procs and procs[-1].is_ready and self._waited(unit) >= rule.delay:
+                    self._delayed.add(unit)
 
     def _waited(self, unit: str) -> float:
         """Give for how long it may have waited, at most."""
