@@ -55,9 +55,9 @@ $B mount -t 9p -o trans=virtio,version=9p2000.L,cache=none,msize=512000 job /new
 $B ip link set lo up; $B hostname guest
 cd /new; exec $B switch_root /new /bin/bash /job/main
 """
-MAIN = """export HOME=/root LANG=C.UTF-8 PATH={path} PYTHON={python} SLOW=10
+# Folders of root are closed to the user outside, whose rights the guest's root has on its files.
+MAIN = """export HOME=/run PYTEST_DEBUG_TEMPROOT=/run LANG=C.UTF-8 PATH={path} PYTHON={python} SLOW=10
 export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST NATIVE_TESTS={native_tests}
-export PYTEST_DEBUG_TEMPROOT=/job  # /tmp is as a user has it who is not root
 cd {folder}
 for case in {cases}; do
   name=$(basename $case)
