@@ -56,7 +56,8 @@ $B ip link set lo up; $B hostname guest
 cd /new; exec $B switch_root /new /bin/bash /job/main
 """
 # Folders of root are closed to the user outside, whose rights the guest's root has on its files.
-MAIN = """export HOME=/run PYTEST_DEBUG_TEMPROOT=/run LANG=C.UTF-8 PATH={path} PYTHON={python} SLOW=10
+MAIN = """export HOME=/run PYTEST_DEBUG_TEMPROOT=/run
+export LANG=C.UTF-8 PATH={path} PYTHON={python} SLOW=10
 export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST NATIVE_TESTS={native_tests}
 cd {folder}
 for case in {cases}; do
