@@ -7,12 +7,18 @@ from typing import TYPE_CHECKING, Final
 from play_launch.config.dependency import Condition, OnTimeout
 from play_launch.config.model import ContainerType, OnExit
 from play_launch.config.node_key import NodeKey
-from play_launch.supervisor.events import ManagedNodeChanged, ManagedState, NodeState
+from play_launch.supervisor.events import (
+    ContainerState,
+    ManagedNodeChanged,
+    ManagedState,
+    NodeState,
+)
 
+from .person import unit_of
 from .seen import LOADING, BrokenError
 
 if TYPE_CHECKING:
-    from play_launch.config.dependency import Dependency
+    from play_launch.config.dependency import Dependency, StartRule
     from play_launch.supervisor import inputs as said
     from play_launch.supervisor.world import Process
 
@@ -25,6 +31,8 @@ MOST_DEATHS: Final = 3
 """Of its container, after which a node is not loaded any more."""
 SUSPECT: Final = 2
 """Deaths after which it is loaded alone."""
+LATE: Final = 2.0
+"""Seconds after its conditions hold, and its delay, in which a unit has to start."""
 ALONE: Final = 60.0
 """Seconds for which a load keeps others waiting."""
 REPEATS: Final = frozenset({64, 125, 126, 127})
@@ -45,6 +53,8 @@ class StartChecks:
         """When the latest load of a node was sent."""
         self._held: set[tuple[str, Dependency]] = set()
         """What held once while a container waited, which may then have waited for its turn."""
+        self._met: dict[str, float] = {}
+        """Since when all conditions of a unit hold that has not been started."""
         self._delayed: set[str] = set()
         """Nodes whose delay was over once; a suspect may have kept them waiting then."""
 
@@ -190,8 +200,9 @@ class StartChecks:
                 raise BrokenError(name, f"{unit} starts without {dependency}", (unit,))
 
     def note_conditions(self) -> None:
-        """Note which conditions of containers hold now that were not started."""
+        """Note which conditions hold now of what was not started."""
         for unit, rule in self._machine.world.config.start_rules.items():
+            self._is_late(unit, rule)
             if (
                 ":/" not in unit
                 and unit not in self._first
@@ -202,6 +213,37 @@ class StartChecks:
                 procs = self._machine.live(NodeKey.parsed(unit).container)
                 if procs and procs[-1].is_ready and self._waited(unit) >= rule.delay:
                     self._delayed.add(unit)
+
+    def _is_late(self, unit: str, rule: StartRule) -> None:
+        """Judge what waits although its conditions hold, or has failed by them."""
+        machine, seen = self._machine, self._seen
+        container = unit_of(unit)
+        is_meant = not seen.has_changed and seen.is_wanted(unit) and seen.is_wanted(container)
+        is_over = seen.stop_reason is not None or bool(seen.ends_all)
+        if unit in self._first or not is_meant or is_over or seen.is_requested(unit):
+            self._met.pop(unit, None)
+            return
+        if ":/" in unit:
+            is_suspected = any(key.container == container for key in seen.killers)
+            may_start = self._is_shown_up(container) and not is_suspected
+            has_failed = seen.shown.get(NodeKey.parsed(unit)) is NodeState.LOAD_FAILED
+        else:
+            may_start = unit not in machine.view.containers  # those wait for a turn
+            has_failed = unit in seen.gave_up
+        all_hold = all(
+            self.holds(each) and self._is_shown_up(unit_of(each.unit)) for each in rule.dependencies
+        )
+        if not may_start or not all_hold:
+            self._met.pop(unit, None)
+        elif not has_failed:
+            self._met.setdefault(unit, machine.now)
+        if machine.now - self._met.get(unit, machine.now) > rule.delay + LATE:
+            raise BrokenError("what waits starts when its conditions hold", unit, (unit,))
+
+    def _is_shown_up(self, unit: str) -> bool:
+        """Whether the supervisor knows that a container is up; others are."""
+        shown = self._machine.view.containers.get(unit)
+        return shown is None or shown.state is ContainerState.RUNNING
 
     def _waited(self, unit: str) -> float:
         """Give for how long it may have waited, at most."""
