@@ -224,8 +224,8 @@ class StartChecks:
             self._met.pop(unit, None)
             return
         if ":/" in unit:
-            is_suspected = any(key.container == container for key in seen.killers)
-            may_start = self._is_shown_up(container) and not is_suspected
+            deaths = [n for key, n in seen.killers.items() if key.container == container]
+            may_start = self._is_shown_up(container) and not any(deaths)
             has_failed = seen.shown.get(NodeKey.parsed(unit)) is NodeState.LOAD_FAILED
         else:
             may_start = unit not in machine.view.containers  # those wait for a turn
