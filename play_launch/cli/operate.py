@@ -80,10 +80,7 @@ def signal(
 
 
 def shutdown(
-    timeout: Annotated[
-        float,
-        options.time("How long to wait; the stop itself continues.", "--timeout", default="60s"),
-    ] = 60.0,
+    timeout: Timeout = 60.0,
     session: options.Session = None,
     as_json: options.Json = False,
 ) -> int:

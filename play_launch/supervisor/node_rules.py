@@ -132,7 +132,7 @@ def _with_report(node: Node, said: NodeReported, *, has_changed: bool) -> Node:
         values["unique_id"] = said.unique_id
     if said.pid:
         values |= {"pid": said.pid, "start_time": said.start_time}
-    # A late answer says nothing about one that has failed meanwhile.
+    # A late answer does not replace the reason of a failure.
     is_slow = said.said is NodeFact.STATUS_CONSTRUCTING and node.state in AWAITED
     if has_changed or is_slow:
         values |= {
@@ -344,6 +344,12 @@ def _silence(step: Reduction, node: Node, seconds: float) -> None:
 # What is wanted against what is.
 
 
+def is_due(node: Node, container: Process) -> bool:
+    """Whether it was not loaded, nor refused, since its container was started."""
+    can_load = node.state in IDLE and node.state is not NodeState.GAVE_UP
+    return can_load and node.loaded_into != container.attempt
+
+
 def settle(step: Reduction, key: NodeKey) -> None:
     """Begin what is wanted of a node and has not begun."""
     node, world = step.node(key), step.world
@@ -364,11 +370,7 @@ def settle(step: Reduction, key: NodeKey) -> None:
                 _apply(step, replace(node, restarts=history, **values), NodeFact.LOAD)
         elif node.state is not NodeState.UNLOADING:
             _apply(step, node, NodeFact.LEAVE)
-    elif (
-        container.runs
-        and node.loaded_into != container.attempt
-        and node.state in IDLE - {NodeState.GAVE_UP}
-    ):
+    elif container.runs and is_due(node, container):
         failure = may_start(step, node)
         if failure:
             refuse(step, step.node(key), failure)

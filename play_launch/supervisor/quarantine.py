@@ -21,9 +21,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.supervisor import node_rules
-from play_launch.supervisor.events import NodeState
 from play_launch.supervisor.inputs import Probe, blamed_frame
-from play_launch.supervisor.transitions import IDLE, LOADING
+from play_launch.supervisor.transitions import LOADING
 from play_launch.supervisor.world import Stage, is_wanted
 
 if TYPE_CHECKING:
@@ -106,13 +105,12 @@ def may_load(world: World, node: Node, now: float) -> bool:
         return False
     if not _is_alone(node):
         return True
-    into = world.processes[node.key.container].attempt
+    container = world.processes[node.key.container]
     due = [
         each
         for each in all_
         if each.stage in _LOADABLE
-        and each.state in IDLE - {NodeState.GAVE_UP}
-        and each.loaded_into != into
+        and node_rules.is_due(each, container)
         and each.wait is None
         and is_wanted(world, each)
     ]

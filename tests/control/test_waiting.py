@@ -74,7 +74,7 @@ def test_a_requested_container_brings_nodes_that_gave_up(tmp_path: Path) -> None
         replay.until(event="container", container="/box", state="backoff")
         replay.until(event="container", container="/box", state="running")
         rows = json.loads(replay.ask("ps", "--json", "/talker").stdout)
-        assert [each["state"] for each in rows] == ["gave up"]  # by itself it stays so
+        assert [each["state"] for each in rows] == ["gave up"]
         replay.ask("restart", "/box", code=0)
         replay.until(event="node", node="/talker", state="loaded")
 

@@ -142,6 +142,34 @@ async def test_a_constructor_that_takes_the_container_down_is_refused_in_the_end
     assert sys.outcome.exit_code == 1
 
 
+async def test_suspects_are_loaded_after_all_others() -> None:
+    orders: list[list[str]] = []
+
+    class Late(FakeContainer):
+        """Has `bad` and `slow` under way when it dies of `bad`; the rest is loaded by then."""
+
+        def start(self) -> None:
+            orders.append([])
+            super().start()
+
+        def on_load(self, load: Load) -> None:
+            orders[-1].append(load.node_name)
+            if load.node_name not in {"bad", "slow"}:
+                super().on_load(load)
+            elif load.node_name == "bad":
+                self.take(load)
+                asyncio.get_running_loop().call_later(0.1, self.crash, 11)
+            else:
+                held = self.take(load)
+                asyncio.get_running_loop().call_later(0.2, self.construct, held)
+
+    config = system(container("c", "bad", "slow", "x", max_restarts=5))
+    async with running(config, FakeLauncher(makers={"/c": [Late]})) as sys:
+        await sys.until_loaded(2)
+    assert orders[2] == ["x", "bad"]
+    assert orders[3] == ["x", "slow"]
+
+
 async def test_a_refused_node_comes_with_its_container_when_that_is_restarted_by_request() -> None:
     fakes = FakeLauncher(makers={"/c": [Dies, Dies, Dies, FakeContainer]})
     async with running(system(container("c", "bad", max_restarts=5)), fakes) as sys:

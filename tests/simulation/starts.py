@@ -210,8 +210,8 @@ class StartChecks:
             ):
                 self._held |= {(unit, each) for each in rule.dependencies if self.holds(each)}
             if ":/" in unit and unit not in self._first:
-                procs = self._machine.live(NodeKey.parsed(unit).container)
-                if procs and procs[-1].is_ready and self._waited(unit) >= rule.delay:
+                is_up = self._is_shown_up(unit_of(unit))
+                if is_up and self._waited(unit) >= rule.delay - SLACK:
                     self._delayed.add(unit)
 
     def _is_late(self, unit: str, rule: StartRule) -> None:

@@ -4,8 +4,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from play_launch.config.model import RestartLimits
+from play_launch.config.model import OnExit, RestartLimits
+from play_launch.supervisor import inputs
 from play_launch.supervisor.outcome import RestartHistory, decide
+from play_launch.supervisor.reducer import reduce
+from play_launch.supervisor.world import Exit, Phase, World
+from tests.runtime import fakes
 
 BOUNDS = st.builds(
     RestartLimits,
@@ -74,3 +78,32 @@ def test_giving_up_says_why() -> None:
     never = RestartLimits(max_restarts=0, within=60.0, initial=0.1, maximum=1.0)
     _, verdict = decide(RestartHistory(), never, now=0.0, lived=5.0, jitter=0.0)
     assert verdict == "restarting is switched off"
+
+
+def test_a_start_while_a_process_waits_for_its_turn_counts_restarts_anew() -> None:
+    limits = RestartLimits(max_restarts=1, initial=0.0, maximum=0.0)
+    config = fakes.process("p", on_exit=OnExit.RESTART)
+    world = World(fakes.system(replace(config, restart=limits)))
+    crash = Exit("exited with signal 11", signal=11)
+
+    def post(*said: inputs.Input) -> None:
+        for each in said:
+            reduce(world, each, 1.0, 0.0)
+
+    def phase() -> Phase:
+        return world.processes["/p"].phase
+
+    def start() -> None:
+        number = world.processes["/p"].attempt
+        post(
+            inputs.Started(unit="/p", start=number, pid=1, start_time=1),
+            inputs.Exited(unit="/p", start=number, exit=crash),
+        )
+
+    post(inputs.Time())
+    start()
+    post(inputs.Time())
+    assert phase() is Phase.QUEUED, "what is left of the first is awaited"
+    post(inputs.StartRequested(unit="/p"), inputs.CleanedUp(unit="/p", start=1))
+    start()
+    assert phase() is not Phase.GAVE_UP
