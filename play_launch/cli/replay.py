@@ -15,7 +15,7 @@ from play_launch.cli.output import fail
 from play_launch.deploy.notification import claim
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from play_launch.config.model import ReplayConfig
     from play_launch.deploy.notification import ServiceManager
@@ -165,12 +165,29 @@ def is_recording(path: Path) -> bool:
 
 
 def _require_log_folder(config: ReplayConfig) -> None:
-    from play_launch.config.values import log_folder_problem  # noqa: PLC0415
-
     for container in config.containers:
-        problem = log_folder_problem({**os.environ, **container.environment})
-        if problem is not None and not container.attach:
+        problem = _log_folder_problem({**os.environ, **container.environment})
+        if problem and not container.attach:
             fail(f"{container.full_name} cannot run: {problem}; nothing was started")
+
+
+def _log_folder_problem(environ: Mapping[str, str]) -> str:
+    """Give why a process with ROS would end at its start; "" if its log files can be written.
+
+    The folder is that of rcl_logging, which does not look up a home in the database of users.
+    """
+    home = environ.get("HOME", "")
+    base = environ.get("ROS_HOME") or (home and f"{home}/.ros")
+    name = environ.get("ROS_LOG_DIR") or (base and f"{base}/log")
+    if not name:
+        return "ROS has no folder for its log files; set HOME or ROS_LOG_DIR"
+    folder = Path(home + name[1:] if name[0] == "~" else name)
+    if not folder.is_absolute():
+        return ""  # it begins where the process does
+    there = next(each for each in (folder, *folder.parents) if os.path.exists(each))  # noqa: PTH110 - closed ones, too
+    if os.access(there, os.W_OK | os.X_OK):
+        return ""
+    return f"ROS cannot write log files into {folder}: {there} is not writable; set ROS_LOG_DIR"
 
 
 def _require_time_zone() -> None:

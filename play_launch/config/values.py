@@ -260,14 +260,3 @@ def domain_problem(value: str) -> str | None:
     if value == "" or (is_number and int(value) <= LARGEST_DOMAIN):
         return None
     return f"{_DOMAIN} is a number from 0 to {LARGEST_DOMAIN}, given {excerpt(value)}"
-
-
-def log_folder_problem(environ: dict[str, str]) -> str | None:
-    """Return why ROS finds no log folder in this environment; None if it does.
-
-    rcl_logging takes ROS_LOG_DIR, then ROS_HOME, then HOME; without one, a process ends at its
-    start. Unlike a shell, it does not look into the database of users.
-    """
-    if any(environ.get(name) for name in ("ROS_LOG_DIR", "ROS_HOME", "HOME")):
-        return None
-    return "ROS has no folder for its log files; set HOME or ROS_LOG_DIR"

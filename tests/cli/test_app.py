@@ -295,6 +295,10 @@ def test_without_a_folder_for_ros_s_log_nothing_is_started(
     assert done.returncode == 2
     assert done.stderr.count("set HOME or ROS_LOG_DIR") == 1
     assert not (tmp_path / "logs").exists()
+    (tmp_path / "file").touch()
+    done = replay(ROS_LOG_DIR=str(tmp_path / "file" / "logs"))
+    assert done.returncode == ExitCode.USAGE
+    assert f"{tmp_path / 'file'} is not writable; set ROS_LOG_DIR" in done.stderr
     assert replay(ROS_LOG_DIR=str(tmp_path / "ros")).returncode == 0
 
 

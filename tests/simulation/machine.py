@@ -53,6 +53,9 @@ class Machine:
         """Files and topics that are there, and lines that were written."""
         self.faults = self.chance.choice((0.0, 0.2, 0.5), "faults")
         """How likely everything is to go wrong."""
+        self.has_favourites = self.chance.number("favourites") < 0.5
+        """Whether some troubles and deeds are frequent in this life, and others do not happen."""
+        self._weights: dict[str, float] = {}
         self.steps = 0
         self._due: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
@@ -125,7 +128,16 @@ class Machine:
         self.post(said.Time())
 
     def is_unlucky(self, times: float, what: str) -> bool:
-        return self.faults > 0.0 and self.chance.happens(self.faults * times, what)
+        likelihood = self.faults * times * self.weight(what.partition(":")[0])
+        return likelihood > 0.0 and self.chance.happens(likelihood, what)
+
+    def weight(self, kind: str) -> float:
+        """How often a kind of trouble or deed happens in this life, beside the usual."""
+        if not self.has_favourites:
+            return 1.0
+        if kind not in self._weights:
+            self._weights[kind] = self.chance.choice((0.0, 0.0, 1.0, 3.0), f"weight: {kind}")
+        return self._weights[kind]
 
     def soon(self, longest: float, what: str) -> float:
         is_slow = self.is_unlucky(0.2, f"slow: {what}")

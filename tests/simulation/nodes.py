@@ -41,7 +41,8 @@ class Nodes:
     def _is_killer(self, key: NodeKey) -> bool:
         """Whether it mostly kills its container: one of thirty."""
         if key not in self._killers:
-            self._killers[key] = self._machine.chance.number(f"killer: {key}") < 1 / 30
+            likelihood = self._machine.weight("killer") ** 2 / 30
+            self._killers[key] = self._machine.chance.number(f"killer: {key}") < likelihood
         return self._killers[key]
 
     def report(self, proc: Proc, node: Loaded, fact: NodeFact, **values: Any) -> None:

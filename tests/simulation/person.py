@@ -37,28 +37,30 @@ class Person:
         if not chance.happens(1.0, "meddling"):
             return
         names, keys = list(machine.world.processes), list(machine.world.nodes)
-        deeds: list[Callable[[], None]] = [
-            machine.touch_file,
-            machine.touch_topic,
-            machine.touch_far,
-            self._change,
-        ]
+        deeds: dict[str, Callable[[], None]] = {
+            "touch a file": machine.touch_file,
+            "touch a topic": machine.touch_topic,
+            "touch far away": machine.touch_far,
+            "apply": self._change,
+        }
         if names:
             name = chance.choice(names, "name")
             anew = said.StartRequested(name, anew=True, reason="for a test")
-            deeds += [
-                lambda: self._act("start", name, said.StartRequested(name)),
-                lambda: self._act("stop", name, said.EndRequested(name, "a person asked for it")),
-                lambda: self._act("restart", name, anew),
-            ]
+            ended = said.EndRequested(name, "a person asked for it")
+            deeds["start"] = lambda: self._act("start", name, said.StartRequested(name))
+            deeds["stop"] = lambda: self._act("stop", name, ended)
+            deeds["restart"] = lambda: self._act("restart", name, anew)
         if keys:
             key = chance.choice(keys, "key")
-            deeds += [
-                lambda: self._act("load", str(key), said.StartRequested(str(key))),
-                lambda: self._act("unload", str(key), said.EndRequested(str(key))),
-                lambda: self._act("reload", str(key), said.StartRequested(str(key), anew=True)),
-            ]
-        chance.choice(deeds, "deed")()
+            unit = str(key)
+            deeds["load"] = lambda: self._act("load", unit, said.StartRequested(unit))
+            deeds["unload"] = lambda: self._act("unload", unit, said.EndRequested(unit))
+            deeds["reload"] = lambda: self._act(
+                "reload", unit, said.StartRequested(unit, anew=True)
+            )
+        likely = [deed for kind, deed in deeds.items() for _ in range(int(machine.weight(kind)))]
+        if likely:
+            chance.choice(likely, "deed")()
 
     def _act(self, action: str, target: str, one: said.Input) -> None:
         self._note(action, (target,))

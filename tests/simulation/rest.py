@@ -226,11 +226,14 @@ class RestChecks:
             is_up = any(str(each.key) == unit and each.is_loaded for each in nodes)
         told = machine.view.managed.get(unit)
         state = ManagedState.ABSENT if told is None else told.state
+        if goal.autostart is None:  # it is only watched, which is not published
+            state = machine.world.goals[unit].state
+            state = ManagedState.UNCONFIGURED if state is ManagedState.ASKED else state
         if is_up is (state is ManagedState.ABSENT):
             raise BrokenError(MANAGED, f"{unit}: {state}", (unit,))
         if state in UNDER_WAY:
             raise BrokenError(MANAGED, f"{unit} stays {state}", (unit,))
-        short = {ManagedState.UNCONFIGURED}
+        short = set() if goal.autostart is None else {ManagedState.UNCONFIGURED}
         if goal.autostart is Autostart.ACTIVATE:
             short.add(ManagedState.INACTIVE)
         marks = (f"is moved by hand: {unit} ", f"answers again: {unit} ")

@@ -149,7 +149,7 @@ def system(chance: random.Random) -> ReplayConfig:
     boxes = {each.full_name for each in containers}
     managed = {
         unit: ManagedConfig(
-            name=unit.rpartition(":")[2], autostart=chance.choice(list(Autostart)), timeout=5.0
+            name=unit.rpartition(":")[2], autostart=chance.choice((*Autostart, None)), timeout=5.0
         )
         for unit in units
         if chance.random() < 0.15 and unit not in boxes
