@@ -11,9 +11,12 @@ import typer
 from play_launch import ExitCode
 from play_launch.cli import options as cli_options
 from play_launch.cli.connection import connected
-from play_launch.cli.output import report, say
+from play_launch.cli.output import fail, report, say
+from play_launch.postmortem.diagnostics import ERROR, OWN_PREFIX
 
 if TYPE_CHECKING:
+    from diagnostic_msgs.msg import DiagnosticArray
+
     from play_launch.control.client import ControlClient
     from play_launch.ros.node_services import NodeServices
 
@@ -27,11 +30,13 @@ _SETTLED: Final = 0.5
 """Seconds in which no further service is seen, until all are known."""
 _UNSERVED: Final = 5.0
 """The same where a node is seen without any service: few have none."""
+_REPORTS: Final = 2.5
+"""Seconds in which each status is reported: mostly one is, each second."""
 _LIFECYCLE: Final = "lifecycle_msgs/srv/GetState"
 _GET_STATE: Final = "/get_state"
 
 
-def wait(
+def wait(  # noqa: PLR0917 - options, by name
     names: cli_options.Names = None,
     condition: Annotated[
         Literal["loaded", "ready", "active"],
@@ -46,6 +51,13 @@ def wait(
         float,
         cli_options.time("Limit, including the wait for a session.", "--timeout", default="60s"),
     ] = 60.0,
+    diagnostics: Annotated[
+        bool,
+        typer.Option(
+            "--diagnostics",
+            help="With ready or active: no node reports ERROR or STALE on /diagnostics either.",
+        ),
+    ] = False,
     session: cli_options.Session = None,
     as_json: cli_options.Json = False,
 ) -> int:
@@ -54,13 +66,17 @@ def wait(
     Without names it waits for everything that was not stopped by an operator. Exits with 4 after
     the timeout.
     """
+    if diagnostics and condition == "loaded":
+        fail("--diagnostics: only with --for ready or --for active")
     began = time.monotonic()
     wanted, deadline = names or [], began + timeout
     with connected(session, deadline=deadline) as client:
         up = _up(client, wanted, condition, deadline)
         missing: list[str] = []
         if condition != "loaded":
-            up, missing = _wait_in_the_graph(client, wanted, condition, deadline, up)
+            up, missing = _wait_in_the_graph(
+                client, wanted, condition, deadline, up, diagnostics=diagnostics
+            )
             if not missing and not wanted:
                 _up(client, wanted, "expected", deadline)
     seconds = time.monotonic() - began
@@ -92,7 +108,13 @@ def _up(client: ControlClient, names: list[str], condition: str, deadline: float
 
 
 def _wait_in_the_graph(
-    client: ControlClient, names: list[str], condition: str, deadline: float, up: list[str]
+    client: ControlClient,
+    names: list[str],
+    condition: str,
+    deadline: float,
+    up: list[str],
+    *,
+    diagnostics: bool,
 ) -> tuple[list[str], list[str]]:
     """Return what is up, and what of it is not as it should be in time.
 
@@ -105,6 +127,7 @@ def _wait_in_the_graph(
 
     with NodeServices() as ros:
         managed = _Managed(ros)
+        statuses = _Statuses(ros) if diagnostics else None
         while True:
             end = min(deadline, time.monotonic() + _ROUND)
             rows = [row for row in client.ask("ps") if row["name"] in up]
@@ -119,9 +142,43 @@ def _wait_in_the_graph(
                 missing = sorted(expected - ros.nodes())
             elif condition == "active":
                 missing = _inactive(ros, managed, up, expected, end)
+            if not missing and statuses is not None:
+                missing = statuses.bad(end)
             if not missing or time.monotonic() >= deadline:
                 return up, missing
             up = _up(client, names, condition, deadline)
+
+
+class _Statuses:
+    """What nodes say on ``/diagnostics`` of themselves, the latest report of each status."""
+
+    def __init__(self, ros: NodeServices) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray  # noqa: PLC0415 - slow
+
+        self._ros = ros
+        self._latest: dict[str, tuple[int, str]] = {}
+        self._heard_from = time.monotonic() + _REPORTS
+        ros.subscribe(DiagnosticArray, "/diagnostics", self._take)
+
+    def _take(self, array: DiagnosticArray) -> None:
+        for each in array.status:
+            if not each.name.startswith(OWN_PREFIX):  # the session itself says the same
+                self._latest[each.name] = (each.level[0], each.message)
+
+    def _bad(self) -> list[str]:
+        return [
+            f"{name} ({text or 'no message'})"
+            for name, (level, text) in self._latest.items()
+            if level >= ERROR
+        ]
+
+    def bad(self, deadline: float) -> list[str]:
+        """Return the statuses that are not well in time, with their messages."""
+        if self._ros.until(
+            lambda: time.monotonic() >= self._heard_from and not self._bad(), deadline
+        ):
+            return []
+        return self._bad() or ["what nodes report on /diagnostics"]
 
 
 class _Managed:

@@ -65,6 +65,10 @@ class NodeServices:
         publish: Callable[[Any], None] = self._node.create_publisher(kind, topic, 10).publish
         return publish
 
+    def subscribe(self, kind: Any, topic: str, take: Callable[[Any], None]) -> None:
+        """Hand over each message of that type, while `until` runs."""
+        self._node.create_subscription(kind, topic, take, 10)
+
     def now(self) -> Any:
         """Return the time as ``builtin_interfaces/Time``."""
         return self._node.get_clock().now().to_msg()

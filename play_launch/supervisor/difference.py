@@ -73,16 +73,18 @@ def _kind(process: Process) -> SubjectKind:
 
 
 def _goal_events(old: Goal | None, new: Goal | None, stamp_ns: int) -> Iterator[RunEvent]:
-    before = ManagedState.ABSENT if old is None else old.state
-    if new is None and old is not None:
-        new = replace(old, state=ManagedState.ABSENT, reason="")
-    if new is not None and new.state is not before and new.config.autostart is not None:
+    # What is only watched is not published.
+    is_driven = new is not None and new.config.autostart is not None
+    before = old.state if old is not None and old.config.autostart else ManagedState.ABSENT
+    state = new.state if new is not None and is_driven else ManagedState.ABSENT
+    goal = new or old
+    if goal is not None and state is not before:
         yield ManagedNodeChanged(
             stamp_ns=stamp_ns,
-            unit=new.unit,
-            node=new.config.name,
-            state=new.state,
-            reason=new.reason,
+            unit=goal.unit,
+            node=goal.config.name,
+            state=state,
+            reason=goal.reason if is_driven else "",
         )
 
 

@@ -12,7 +12,7 @@ from play_launch.config.model import Autostart
 from play_launch.supervisor.events import UNDER_WAY, ManagedState, NodeState
 from play_launch.supervisor.inputs import Drive, Log, ManagedInput
 from play_launch.supervisor.transitions import table
-from play_launch.supervisor.world import Node, Process
+from play_launch.supervisor.world import Node
 
 if TYPE_CHECKING:
     from play_launch.supervisor.inputs import GoalReported
@@ -59,7 +59,7 @@ TABLE: Final = table(
 def next_state(state: ManagedState, said: ManagedInput, goal: Autostart | None) -> ManagedState:
     """Apply one input; without a goal the node is only watched."""
     then = TABLE[state][said] or state
-    if then is State.ACTIVATING and state is not then and goal is not Autostart.ACTIVATE:
+    if then is State.ACTIVATING and goal is not Autostart.ACTIVATE:
         return State.INACTIVE
     if goal is None:
         if then is State.CONFIGURING:
@@ -74,13 +74,10 @@ def settle(step: Reduction, name: str) -> None:
     world = step.world
     goal, config = world.goals[name], world.config.managed.get(name)
     instance = 0 if config is None else _instance(world, name)
-    if config is not None:
-        if (config, instance) == (goal.config, goal.instance):
-            return
-        goal = world.put(goal, config=config)
-    if instance or goal.instance:
-        world.put(goal, instance=instance)
-        _apply(step, name, ManagedInput.UP if instance else ManagedInput.GONE)
+    if (config, instance) == (goal.config, goal.instance):
+        return
+    world.put(goal, config=config or goal.config, instance=instance)
+    _apply(step, name, ManagedInput.UP if instance else ManagedInput.GONE)
     if config is None:
         world.forget(world.goals[name])
 
@@ -88,9 +85,9 @@ def settle(step: Reduction, name: str) -> None:
 def _instance(world: World, name: str) -> int:
     """Number the start or load that exists now; 0: none does."""
     unit = world.find(name)
-    is_loaded = isinstance(unit, Node) and unit.state is NodeState.LOADED
-    exists = is_loaded or (isinstance(unit, Process) and unit.runs)
-    return unit.attempt if unit is not None and exists else 0
+    if isinstance(unit, Node):
+        return unit.attempt if unit.state is NodeState.LOADED else 0
+    return unit.attempt if unit is not None and unit.runs else 0
 
 
 def reported(step: Reduction, said: GoalReported) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,23 @@ from play_launch.cli.diagnostics import _of_unit
 from tests.cli.top.rows import row
 from tests.support.replay import COMMAND, Replay, recorded, replaying, run
 from tests.support.scenes import node, written
+
+MONITOR = """
+import os
+import sys
+import time
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+rclpy.init()
+node = rclpy.create_node("monitor")
+publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+while True:
+    level, text = (b"\\0", "fine") if os.path.exists(sys.argv[1]) else (b"\\2", "no data")
+    status = DiagnosticStatus(level=level, name="lidar: data", message=text)
+    own = DiagnosticStatus(level=b"\\2", name="play_launch: /c")
+    publisher.publish(DiagnosticArray(status=[status, own]))
+    time.sleep(0.2)
+"""
 
 
 def statuses(replay: Replay) -> list[dict[str, Any]]:
@@ -79,3 +97,20 @@ def test_units_and_topics_have_their_statuses(tmp_path: Path) -> None:
     explained = run("explain", replay.bag, code=1).stdout
     assert "/talker in /c crashed" in explained
     assert "play_launch:" not in explained
+
+
+def test_a_wait_demands_the_diagnostics_of_others(tmp_path: Path) -> None:
+    script, repaired = tmp_path / "monitor.py", tmp_path / "repaired"
+    script.write_text(MONITOR)
+    command = [sys.executable, str(script), str(repaired)]
+    config = written(
+        tmp_path, containers=[{"name": "c"}], nodes=[{"name": "monitor", "command": command}]
+    )
+    with replaying(config, tmp_path / "logs") as replay:
+        ready = ("wait", "--for", "ready", "--diagnostics")
+        refused = replay.ask(*ready, "--timeout", "8s", code=4)
+        assert "not ready: lidar: data (no data)" in refused.stderr
+        replay.ask("wait", "--for", "ready", code=0)
+        replay.ask("wait", "--diagnostics", code=2)
+        repaired.touch()
+        replay.ask(*ready, code=0)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.model import OnCrash, OnExit
+from play_launch.config.model import Autostart, OnCrash, OnExit
 from play_launch.supervisor import inputs as said
 from play_launch.supervisor.events import (
     ContainerState,
+    ManagedState,
     NodeState,
     NodeStateChanged,
     ProcessEventKind,
@@ -32,6 +33,11 @@ if TYPE_CHECKING:
     from .machine import Machine
     from .seen import Snapshot
 
+_LEADS_TO: Final = {
+    ManagedState.CONFIGURING: frozenset(Autostart),
+    ManagedState.ACTIVATING: frozenset({Autostart.ACTIVATE}),
+}
+"""What may have been asked of a node for a transition."""
 AWAITED: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING, NodeState.UNLOADING})
 INTERVAL: Final = 15.0
 """Seconds between two queries about a constructor that runs."""
@@ -79,6 +85,7 @@ class Checks:
                 self.seen.starts[effect.unit].is_fatal = True
         self.starts.note_conditions()
         self._views()
+        self._goals(one, before, effects)
         self._stale(one, before, effects)
         self._isolation(one, before)
         self._consequences(one)
@@ -109,6 +116,11 @@ class Checks:
             case said.Stop():
                 self._is_once("stop", effect.unit, effect.start)
                 self._reverse_order(effect)
+            case said.Drive() if effect.to in _LEADS_TO:
+                goal = self._machine.world.goals[effect.unit].config.autostart
+                if goal not in _LEADS_TO[effect.to]:
+                    text = f"{effect.unit}, {goal}: {effect.to}"
+                    raise BrokenError("a managed node goes no further", text, (effect.unit,))
             case StepOutcome():
                 if effect.step.id in {each.step.id for each in self._machine.person.done}:
                     raise BrokenError("a step of a change ends once", str(effect))
@@ -183,9 +195,25 @@ class Checks:
             raise BrokenError(name, "a container is gone and still shown")
         for unit, goal in world.goals.items():
             told = view.managed.get(unit)
-            is_driven = told is not None and goal.config.autostart is not None
-            if is_driven and told is not None and told.state is not goal.state:
-                raise BrokenError(name, f"{unit}: {told.state} is {goal.state}", (unit,))
+            is_, shown_as = goal.state, ManagedState.ABSENT if told is None else told.state
+            if goal.config.autostart is None:  # it is only watched, which is not published
+                is_ = ManagedState.ABSENT
+            if shown_as is not is_:
+                raise BrokenError(name, f"{unit}: {shown_as} is {is_}", (unit,))
+
+    def _goals(self, one: said.Input, before: Snapshot, effects: list[said.Effect]) -> None:
+        for unit, goal in self._machine.world.goals.items():
+            was = before.goals.get(unit)
+            is_new = was is None or goal.state is not was.state
+            has_failed = goal.state is ManagedState.FAILED
+            is_told = any(isinstance(each, said.Log) and each.is_error for each in effects)
+            if bool(goal.reason) is not has_failed or (is_new and has_failed and not is_told):
+                text = f"{unit}: {goal.state}, {goal.reason!r}"
+                raise BrokenError("what is given up has a reason", text, (unit,))
+            if not isinstance(one, said.GoalReported) or one.unit != unit or was is None:
+                continue
+            if one.instance != was.instance == goal.instance and is_new:
+                raise BrokenError("events of an old attempt change nothing", f"{one}", (unit,))
 
     def _stale(self, one: said.Input, before: Snapshot, effects: list[said.Effect]) -> None:
         name = "events of an old attempt change nothing"

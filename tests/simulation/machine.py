@@ -105,7 +105,8 @@ class Machine:
 
     def _process(self, one: said.Input) -> None:
         self.steps += 1
-        before = Snapshot(dict(self.world.processes), dict(self.world.nodes))
+        world = self.world
+        before = Snapshot(dict(world.processes), dict(world.nodes), dict(world.goals))
         self.checks.before(one)
         effects = reduce(self.world, one, self.now, self.chance.number("jitter"))
         events = list(events_since(self.world, now=self.now, stamp_ns=0))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
 from play_launch import ExitCode
+from play_launch.config.dependency import Condition, OnTimeout
 from play_launch.config.model import Autostart, ContainerConfig, OnExit
+from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import (
     UNDER_WAY,
     ContainerState,
@@ -23,7 +25,7 @@ from .person import unit_of
 from .seen import BrokenError
 
 if TYPE_CHECKING:
-    from play_launch.config.node_key import NodeKey
+    from play_launch.config.dependency import Dependency
     from play_launch.supervisor.view import SystemView
     from play_launch.supervisor.world import Process
 
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from .seen import Seen
     from .starts import StartChecks
 
+_OVER: Final = frozenset({NodeState.LOAD_FAILED, NodeState.GAVE_UP, NodeState.UNLOADED})
 WANTED = "what is wanted is up"
 STOPPED = "what is stopped stays stopped"
 REASON = "what is given up has a reason"
@@ -60,7 +63,7 @@ class RestChecks:
             self._process(process)
         for key in machine.world.nodes:
             self._node(key)
-        for unit in machine.world.goals:
+        for unit in machine.world.config.managed:
             self._goal(unit)
 
     def _configuration(self) -> None:
@@ -211,11 +214,31 @@ class RestChecks:
             raise BrokenError(WANTED, f"{unit} waits although all holds", (unit,))
         if all(each.unit == "" and not math.isinf(each.timeout) for each in missing):
             raise BrokenError(WANTED, f"{unit} waits longer than it may", (unit,))
+        lost = [each for each in missing if self._is_lost(each)]
+        if lost == missing or any(each.on_timeout is OnTimeout.FAIL for each in lost):
+            text = f"{unit} waits for {lost[0]}, which does not come"
+            raise BrokenError(WANTED, text, (unit,))
+
+    def _is_lost(self, dependency: Dependency) -> bool:
+        """Whether what a unit waits for is over, until it is requested."""
+        machine, unit = self._machine, dependency.unit
+        if dependency.machine or not unit:
+            return False
+        process = machine.world.processes.get(unit_of(unit))
+        if process is None or process.phase in {Phase.GAVE_UP, Phase.STOPPED}:
+            return True
+        goal = machine.world.goals.get(unit)
+        if dependency.condition is Condition.ACTIVE and goal and goal.state is ManagedState.FAILED:
+            return True
+        if ":/" not in unit:
+            return False
+        return machine.world.nodes[NodeKey.parsed(unit)].state in _OVER
 
     def _goal(self, unit: str) -> None:
-        machine, goal = self._machine, self._machine.world.config.managed.get(unit)
-        if goal is None:
-            return
+        machine, goal = self._machine, self._machine.world.config.managed[unit]
+        has = machine.world.goals.get(unit)
+        if has is None or has.config != goal:
+            raise BrokenError(MANAGED, f"{unit} has another goal", (unit,))
         name, _, is_node = unit.partition(":/")
         # One that outlives SIGKILL is given up with its nodes.
         is_stuck = name in self._seen.killed
@@ -224,15 +247,16 @@ class RestChecks:
         if is_node:
             nodes = [] if not is_up else list(live[-1].nodes.values())
             is_up = any(str(each.key) == unit and each.is_loaded for each in nodes)
-        told = machine.view.managed.get(unit)
-        state = ManagedState.ABSENT if told is None else told.state
-        if goal.autostart is None:  # it is only watched, which is not published
-            state = machine.world.goals[unit].state
-            state = ManagedState.UNCONFIGURED if state is ManagedState.ASKED else state
+        state = has.state
+        if goal.autostart is None and state is ManagedState.ASKED:
+            state = ManagedState.UNCONFIGURED  # it may never answer
         if is_up is (state is ManagedState.ABSENT):
             raise BrokenError(MANAGED, f"{unit}: {state}", (unit,))
         if state in UNDER_WAY:
             raise BrokenError(MANAGED, f"{unit} stays {state}", (unit,))
+        talk = machine.managed.talks.get(unit)
+        if is_up and (talk is None or (talk.config, talk.instance) != (goal, has.instance)):
+            raise BrokenError(MANAGED, f"{unit} is talked to as another", (unit,))
         short = set() if goal.autostart is None else {ManagedState.UNCONFIGURED}
         if goal.autostart is Autostart.ACTIVATE:
             short.add(ManagedState.INACTIVE)

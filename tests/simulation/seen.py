@@ -23,7 +23,7 @@ from .person import unit_of
 
 if TYPE_CHECKING:
     from play_launch.supervisor.events import RunEvent
-    from play_launch.supervisor.world import Exit, Node, Process
+    from play_launch.supervisor.world import Exit, Goal, Node, Process
 
     from .machine import Machine
 
@@ -35,6 +35,7 @@ class Snapshot(NamedTuple):
 
     processes: dict[str, Process]
     nodes: dict[NodeKey, Node]
+    goals: dict[str, Goal]
 
 
 class BrokenError(AssertionError):

@@ -7,12 +7,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.config.dependency import Condition, OnTimeout
 from play_launch.config.model import ContainerType, OnExit
 from play_launch.config.node_key import NodeKey
-from play_launch.supervisor.events import (
-    ContainerState,
-    ManagedNodeChanged,
-    ManagedState,
-    NodeState,
-)
+from play_launch.supervisor.events import ContainerState, ManagedState, NodeState
 
 from .person import unit_of
 from .seen import LOADING, BrokenError
@@ -259,7 +254,7 @@ class StartChecks:
             return (kind, unit, dependency.subject) in machine.met
         match kind:
             case Condition.ACTIVE:
-                goal: ManagedNodeChanged | None = machine.view.managed.get(unit)
+                goal = machine.world.goals.get(unit)
                 return goal is not None and goal.state is ManagedState.ACTIVE
             case Condition.LOADED if ":/" in unit:
                 key = NodeKey.parsed(unit)

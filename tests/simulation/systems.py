@@ -40,6 +40,7 @@ FILES = ("/calibration", "/map")
 TOPICS = ("/scan", "/tf")
 FAR = ("/far", "/farther")
 """Units of another machine."""
+GOALS = (*Autostart, None)
 FAR_KINDS = (Condition.STARTED, Condition.LOADED, Condition.ACTIVE, Condition.EXITED)
 
 
@@ -149,7 +150,7 @@ def system(chance: random.Random) -> ReplayConfig:
     boxes = {each.full_name for each in containers}
     managed = {
         unit: ManagedConfig(
-            name=unit.rpartition(":")[2], autostart=chance.choice((*Autostart, None)), timeout=5.0
+            name=unit.rpartition(":")[2], autostart=chance.choice(GOALS), timeout=5.0
         )
         for unit in units
         if chance.random() < 0.15 and unit not in boxes
@@ -202,5 +203,9 @@ def changed(chance: random.Random, config: ReplayConfig) -> ReplayConfig:
         for unit, each in config.start_rules.items()
         if unit in left and all(one.unit in {*left, "", *FAR} for one in each.dependencies)
     }
-    managed = {unit: each for unit, each in config.managed.items() if unit in left}
+    managed = {
+        unit: replace(each, autostart=chance.choice(GOALS)) if chance.random() < 0.1 else each
+        for unit, each in config.managed.items()
+        if unit in left
+    }
     return replace(target, start_rules=MappingProxyType(rules), managed=MappingProxyType(managed))
