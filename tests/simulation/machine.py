@@ -53,6 +53,8 @@ class Machine:
         """Files and topics that are there, and lines that were written."""
         self.faults = self.chance.choice((0.0, 0.2, 0.5), "faults")
         """How likely everything is to go wrong."""
+        self.is_faulty = self.faults > 0.0
+        """Whether anything goes wrong at all in this life."""
         self.has_favourites = self.chance.number("favourites") < 0.5
         """Whether some troubles and deeds are frequent in this life, and others do not happen."""
         self._weights: dict[str, float] = {}

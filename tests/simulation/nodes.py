@@ -40,9 +40,10 @@ class Nodes:
 
     def _is_killer(self, key: NodeKey) -> bool:
         """Whether it mostly kills its container: one of thirty."""
+        machine = self._machine
         if key not in self._killers:
-            likelihood = self._machine.weight("killer") ** 2 / 30
-            self._killers[key] = self._machine.chance.number(f"killer: {key}") < likelihood
+            likelihood = machine.weight("killer") ** 2 / 30 if machine.is_faulty else 0.0
+            self._killers[key] = machine.chance.number(f"killer: {key}") < likelihood
         return self._killers[key]
 
     def report(self, proc: Proc, node: Loaded, fact: NodeFact, **values: Any) -> None:
@@ -79,7 +80,9 @@ class Nodes:
         if proc.hangs or machine.is_unlucky(0.1, f"constructor hangs: {key}"):
             return
         delay += machine.soon(1.0, f"construction {key}")
-        if machine.is_unlucky(1.6 if self._is_killer(key) else 0.2, f"kills its container: {key}"):
+        # A killer is one in quiet times, too.
+        kills = self._is_killer(key) and machine.chance.happens(0.8, f"is a killer: {key}")
+        if kills or machine.is_unlucky(0.2, f"kills its container: {key}"):
             machine.later(delay, lambda: machine.processes.end(proc, signal=11))
             return
         machine.later(delay, lambda: self._construct(proc, node))
