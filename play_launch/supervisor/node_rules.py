@@ -256,7 +256,7 @@ def container_requested(step: Reduction, container: Process) -> None:
     for node in step.world.nodes_of(container.name):
         is_requested = node.is_requested or node.state is NodeState.GAVE_UP
         history = RestartHistory(total=node.restarts.total)
-        step.world.put(node, is_requested=is_requested, restarts=history, **TRUSTED)
+        step.world.put(node, is_requested=is_requested, restarts=history, excused=0, **TRUSTED)
 
 
 def container_stops(step: Reduction, container: Process) -> None:

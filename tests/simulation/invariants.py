@@ -191,6 +191,8 @@ class Checks:
             if (known.state, known.crashes) != (node.state, node.crashes):
                 text = f"{key}: {known.state} is {node.state}"
                 raise BrokenError(name, text, (str(key),))
+            if node.state in {NodeState.LOAD_FAILED, NodeState.GAVE_UP} and not node.reason:
+                raise BrokenError("what is given up has a reason", str(key), (str(key),))
         if len(view.containers) > len(world.processes):
             raise BrokenError(name, "a container is gone and still shown")
         for unit, goal in world.goals.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from play_launch.config.model import ContainerType
@@ -45,6 +46,11 @@ class Nodes:
             likelihood = machine.weight("killer") ** 2 / 30 if machine.is_faulty else 0.0
             self._killers[key] = machine.chance.number(f"killer: {key}") < likelihood
         return self._killers[key]
+
+    def _is_stock(self, proc: Proc) -> bool:
+        process = self._machine.world.processes.get(proc.unit)
+        config = process.container if process is not None else None
+        return config is None or config.container_type is ContainerType.STOCK
 
     def report(self, proc: Proc, node: Loaded, fact: NodeFact, **values: Any) -> None:
         machine, key = self._machine, node.key
@@ -115,9 +121,7 @@ class Nodes:
         machine = self._machine
         if not proc.is_alive or node.unique_id not in proc.nodes:
             return
-        process = machine.world.processes.get(proc.unit)
-        config = process.container if process is not None else None
-        if config is None or config.container_type is ContainerType.STOCK:
+        if self._is_stock(proc):
             machine.processes.end(proc, signal=11)
             return
         del proc.nodes[node.unique_id]
@@ -168,7 +172,11 @@ class Nodes:
             elif found:
                 fact = NodeFact.STATUS_LOADED if node.is_loaded else NodeFact.STATUS_CONSTRUCTING
             reason = "" if found else "the container does not know it"
-            self.report(proc, node, fact, reason=reason)
+            report = partial(self.report, proc, node, fact, reason=reason)
+            if self._is_stock(proc):  # services and events overtake one another
+                self._machine.later(self._machine.soon(2.0, f"way back {key}"), report)
+            else:
+                report()
 
     def probe(self, keys: tuple[NodeKey, ...]) -> None:
         machine = self._machine

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from .machine import Machine
     from .seen import Ending, Seen, Starts
 
-EXCUSED: Final = 3
-"""Restarts beyond the limit that the search for the node that kills its container may take."""
+EXCUSED: Final = 2
+"""Restarts beyond the limit for each node that may be what kills its container."""
 MOST_DEATHS: Final = 3
 """Of its container, after which a node is not loaded any more."""
 SUSPECT: Final = 2
@@ -110,7 +110,8 @@ class StartChecks:
         starts.restarts = [*recent, (ending.at, now, not ending.under_way)]
         counted = [each for each in starts.restarts if each[2]]
         most = limits.max_restarts
-        is_over = len(counted) > most or len(starts.restarts) > most + EXCUSED
+        nodes = self._machine.world.keys.get(unit, ())
+        is_over = len(counted) > most or len(starts.restarts) > most + EXCUSED * len(nodes)
         if most == 0 or is_over:
             text = f"{unit}: {len(starts.restarts)} restarts in {limits.within:g} s"
             raise BrokenError("restart bounds hold", text, (unit,))
