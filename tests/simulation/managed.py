@@ -21,6 +21,8 @@ class ManagedNodes:
         self._machine = machine
         self.talks: dict[str, Goal] = {}
         """The goal that each unit is talked to about."""
+        self.moved: set[str] = set()
+        """Units that others than the supervisor have moved."""
         self._states: dict[tuple[str, int], ManagedInput] = {}
         """Of each instance that has left its first state."""
 
@@ -38,6 +40,7 @@ class ManagedNodes:
         is_driven = self.talks[unit].config.autostart is not None
         is_moved = not is_driven and machine.chance.number(f"manager: {unit}") < 0.7
         if is_moved or machine.is_unlucky(0.1, f"is moved by hand: {unit}"):
+            self.moved.add(unit)
             moved = (ManagedInput.IS_INACTIVE, ManagedInput.IS_ACTIVE, ManagedInput.IS_FINALIZED)
             one = machine.chance.choice(moved, f"move {unit}")
             delay = machine.soon(10.0, f"moved {unit}")

@@ -262,9 +262,8 @@ class RestChecks:
         short = set() if goal.autostart is None else {ManagedState.UNCONFIGURED}
         if goal.autostart is Autostart.ACTIVATE:
             short.add(ManagedState.INACTIVE)
-        marks = (f"is moved by hand: {unit} ", f"answers again: {unit} ")
-        by_hand = any(each.startswith(marks) for each in machine.chance.troubles)
-        if state in short and not by_hand:
+        again = any(each.startswith(f"answers again: {unit} ") for each in machine.chance.troubles)
+        if state in short and not again and unit not in machine.managed.moved:
             raise BrokenError(MANAGED, f"{unit} stays {state}", (unit,))
 
     # The end.
