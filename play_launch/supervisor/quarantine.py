@@ -114,7 +114,7 @@ def may_load(world: World, node: Node, now: float) -> bool:
         and each.wait is None
         and is_wanted(world, each)
     ]
-    return not others and all(_is_alone(each) for each in due) and due[0].key == node.key
+    return not others and all(_is_alone(each) for each in due)
 
 
 def _is_alone(node: Node) -> bool:

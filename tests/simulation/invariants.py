@@ -85,6 +85,7 @@ class Checks:
                 self.seen.starts[effect.unit].is_fatal = True
         self.starts.note_conditions()
         self._views()
+        self._remedies(one, before, effects)
         self._goals(one, before, effects)
         self._stale(one, before, effects)
         self._isolation(one, before)
@@ -202,6 +203,19 @@ class Checks:
                 is_ = ManagedState.ABSENT
             if shown_as is not is_:
                 raise BrokenError(name, f"{unit}: {shown_as} is {is_}", (unit,))
+
+    def _remedies(self, one: said.Input, before: Snapshot, effects: list[said.Effect]) -> None:
+        """What a container or a scratch process reports has its consequence at once."""
+        loads = {each.node for each in effects if isinstance(each, said.Load)}
+        is_bad = isinstance(one, said.Probed) and one.finding and not one.finding.loads
+        if isinstance(one, said.Probed) and is_bad and one.node in loads:
+            raise BrokenError("what cannot be loaded is not", str(one.node), (str(one.node),))
+        if isinstance(one, said.HealthReported) and one.dead_locks:
+            process = before.processes.get(one.unit)
+            runs = process is not None and process.phase is Phase.RUNNING
+            is_meant = process is not None and process.attempt == one.start
+            if runs and is_meant and not self._leaves(one.unit, effects):
+                raise BrokenError("a dead lock ends its container", one.unit, (one.unit,))
 
     def _goals(self, one: said.Input, before: Snapshot, effects: list[said.Effect]) -> None:
         for unit, goal in self._machine.world.goals.items():
