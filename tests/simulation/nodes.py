@@ -86,8 +86,10 @@ class Nodes:
         if proc.hangs or machine.is_unlucky(0.1, f"constructor hangs: {key}"):
             return
         delay += machine.soon(1.0, f"construction {key}")
-        # A killer is one in quiet times, too.
-        kills = self._is_killer(key) and machine.chance.happens(0.8, f"is a killer: {key}")
+        # A killer is one in quiet times, too, but where nothing looks for it: that would not end.
+        may_kill = machine.faults > 0.0 or not self._is_stock(proc)
+        kills = may_kill and self._is_killer(key)
+        kills = kills and machine.chance.happens(0.8, f"is a killer: {key}")
         if kills or machine.is_unlucky(0.2, f"kills its container: {key}"):
             machine.later(delay, lambda: machine.processes.end(proc, signal=11))
             return
