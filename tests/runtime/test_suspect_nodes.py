@@ -225,6 +225,11 @@ async def test_a_constructor_is_found_out_with_one_restart_allowed(nodes: tuple[
         await sys.until_loaded(len(nodes) - 1)
         await asyncio.sleep(1000)
         await sys.until_state("/c", ContainerState.RUNNING)
+        # A requested start begins anew, with the same number of deaths that do not count.
+        sys.operated.restart("/c")
+        await sys.until(lambda: sys.node_states("/bad").count(NodeState.LOAD_FAILED) == 2)
+        await asyncio.sleep(1000)
+        await sys.until_state("/c", ContainerState.RUNNING)
     assert "times while it was loaded" in sys.node_events("/bad", NodeState.LOAD_FAILED)[0].reason
 
 
