@@ -376,6 +376,8 @@ def settle(step: Reduction, key: NodeKey) -> None:
             refuse(step, step.node(key), failure)
         elif failure == "" and quarantine.may_load(world, step.node(key), step.now):
             _apply(step, replace(step.node(key), is_reload=False), NodeFact.LOAD)
+        elif failure == "":
+            world.waiting.add(key)  # for the end of another's load
 
 
 def _leave(step: Reduction, node: Node) -> None:

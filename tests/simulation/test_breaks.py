@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 MOST_SEEDS: Final = 600
 FIRST: Final = (
     *(17, 0, 209, 403, 35, 38, 911, 453, 418, 207, 63),
-    *(12, 9, 92, 587, 13, 18, 61, 226, 37, 1135, 30, 94),
+    *(12, 9, 92, 587, 13, 18, 61, 226, 37, 1135, 30, 94, 5531),
 )
 """Seeds each of which found a break that those before it did not; they are tried first."""
 
