@@ -117,10 +117,22 @@ class Machine:
         if self.steps > MOST_STEPS:
             raise invariants.BrokenError("it comes to rest", "there is always something to do")
         self.checks.after(one, before, effects, events)
+        self._forgets_nothing()
         for effect in effects:
             self._carry_out(effect)
         if self.world.change is None:
             self.person.change_ended()
+
+    def _forgets_nothing(self) -> None:
+        """Evaluate all units now and then: rules have nothing left to do after an input."""
+        due = deadline(self.world)
+        if self.steps % 8 or (due is not None and due <= self.now):
+            return
+        effects = reduce(self.world, said.Time(), self.now)
+        changed = [key for units in self.world.before for key in units]
+        if effects or changed:
+            text = f"{changed} {effects}"
+            raise invariants.BrokenError("nothing is forgotten", text, tuple(map(str, changed)))
 
     def publish(self, events: list[RunEvent]) -> None:
         for event in events:
