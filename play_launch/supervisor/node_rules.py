@@ -374,10 +374,11 @@ def settle(step: Reduction, key: NodeKey) -> None:
         failure = may_start(step, node)
         if failure:
             refuse(step, step.node(key), failure)
-        elif failure == "" and quarantine.may_load(world, step.node(key), step.now):
-            _apply(step, replace(step.node(key), is_reload=False), NodeFact.LOAD)
         elif failure == "":
-            world.waiting.add(key)  # for the end of another's load
+            if quarantine.may_load(world, step.node(key), step.now):
+                _apply(step, replace(step.node(key), is_reload=False), NodeFact.LOAD)
+            else:
+                world.waiting.add(key)  # for the end of another's load
 
 
 def _leave(step: Reduction, node: Node) -> None:
