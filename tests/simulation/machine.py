@@ -128,7 +128,7 @@ class Machine:
         due = deadline(self.world)
         if self.steps % 8 or (due is not None and due <= self.now):
             return
-        effects = reduce(self.world, said.Time(), self.now)
+        effects = reduce(self.world, said.Time(), self.now, 0.5)
         changed = [key for units in self.world.before for key in units]
         if effects or changed:
             text = f"{changed} {effects}"

@@ -209,7 +209,7 @@ void Recorder::subscribe(RecordedTopic& topic) {
 
 void Recorder::unsubscribe(RecordedTopic& topic, const std::string& reason) {
   topic.subscription.reset();
-  warn_once(topic.name, "of type " + topic.type + ": " + reason);
+  warn_once(topic.name, topic.treatment, "of type " + topic.type + ": " + reason);
 }
 
 void Recorder::hand_over(std::uint32_t number) {
@@ -271,7 +271,8 @@ void Recorder::record(const ParameterSurvey::Parameters& parameters) {
   if (const auto size = put(parameters, now, live_.builder())) {
     append(live_, {parameters_channel_, parameters_sequence_, clock_.now_ns(), now}, *size);
   } else {
-    warn_once(kParametersTopic, "those of " + parameters.node + " cannot be serialised");
+    warn_once(kParametersTopic, Treatment::recorded,
+              "those of " + parameters.node + " cannot be serialised");
   }
 }
 
@@ -284,7 +285,7 @@ void Recorder::meet(const GraphTopic& found, Treatment wanted) {
     return;  // nothing is said there yet, and of what quality is not known
   }
   if (found.types.size() != 1) {
-    warn_once(found.name, "it has several types: " + found.types_in_words());
+    warn_once(found.name, wanted, "it has several types: " + found.types_in_words());
     return;
   }
   const std::string& type = found.types.front();
@@ -292,7 +293,7 @@ void Recorder::meet(const GraphTopic& found, Treatment wanted) {
   try {
     support = message_type_support(type);
   } catch (const std::exception& error) {
-    warn_once(found.name, "of type " + type + ": " + error.what());
+    warn_once(found.name, wanted, "of type " + type + ": " + error.what());
     return;
   }
   topics_.push_back(std::make_unique<RecordedTopic>(
@@ -316,7 +317,7 @@ void Recorder::reconsider(RecordedTopic& topic, const GraphTopic& found) {
   if (found.types.size() > 1 && warned_.insert(topic.name).second) {
     link_.post(Packet(Kind::warning)
                    .text("topic " + topic.name + " has several types by now (" +
-                         found.types_in_words() + "): only " + topic.type + " is recorded"));
+                         found.types_in_words() + "): only " + topic.type + " counts"));
   }
   const auto offered = node_.offered(topic.name);
   if (offered.empty()) {
@@ -331,9 +332,10 @@ void Recorder::reconsider(RecordedTopic& topic, const GraphTopic& found) {
   }
 }
 
-void Recorder::warn_once(const std::string& topic, const std::string& text) {
+void Recorder::warn_once(const std::string& topic, Treatment wanted, const std::string& text) {
   if (warned_.insert(topic).second) {
-    link_.post(Packet(Kind::warning).text("topic " + topic + " is not recorded: " + text));
+    const std::string lost = wanted == Treatment::measured ? "measured" : "recorded";
+    link_.post(Packet(Kind::warning).text("topic " + topic + " is not " + lost + ": " + text));
   }
 }
 

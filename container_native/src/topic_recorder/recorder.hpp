@@ -43,7 +43,7 @@ class Recorder {
   void follow_graph();
   void meet(const GraphTopic& found, Treatment treatment);
   void reconsider(RecordedTopic& topic, const GraphTopic& found);
-  void warn_once(const std::string& topic, const std::string& text);
+  void warn_once(const std::string& topic, Treatment wanted, const std::string& text);
   /// Takes what waits by now for topics that are treated like that, as far as time permits.
   void take_rest(Treatment treatment);
   /// Takes some; whether more may wait.

@@ -209,8 +209,20 @@ async def test_a_topic_that_gets_another_type(
         await publish_all(publisher, strings(3))
         await acknowledged(publisher)
     assert caplog.text.count("/changes has several types") == 1
-    assert "only std_msgs/msg/String is recorded" in caplog.text
+    assert "only std_msgs/msg/String counts" in caplog.text
     assert recorded(path, "/changes") == strings(3)
+
+
+async def test_a_topic_that_is_only_measured_has_several_types(
+    probe: Probe, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    probe.node.create_publisher(String, "/mixed", 10)
+    with Probe("another") as another:
+        another.node.create_publisher(Image, "/mixed", 10)
+        expected = "{topics: []}\nexpect: {/mixed: {min_rate: 1}}"
+        async with recording(tmp_path / "x.mcap", expected):
+            await until(lambda: "/mixed" in caplog.text, "the warning")
+    assert "topic /mixed is not measured: it has several types" in caplog.text
 
 
 async def test_log_times_of_a_topic_do_not_go_back(probe: Probe, tmp_path: Path) -> None:
