@@ -271,8 +271,8 @@ void Recorder::record(const ParameterSurvey::Parameters& parameters) {
   if (const auto size = put(parameters, now, live_.builder())) {
     append(live_, {parameters_channel_, parameters_sequence_, clock_.now_ns(), now}, *size);
   } else {
-    warn_once(kParametersTopic, Treatment::recorded,
-              "those of " + parameters.node + " cannot be serialised");
+    const std::string reason = parameters.node + " cannot be serialised";
+    warn_once(kParametersTopic, Treatment::recorded, "those of " + reason);
   }
 }
 
@@ -320,9 +320,7 @@ void Recorder::reconsider(RecordedTopic& topic, const GraphTopic& found) {
                          found.types_in_words() + "): only " + topic.type + " counts"));
   }
   const auto offered = node_.offered(topic.name);
-  if (offered.empty()) {
-    return;
-  }
+  if (offered.empty()) return;
   const rmw_qos_profile_t wanted = request_for(offered, topic.treatment);
   if (asks_too_much(topic.subscription->qos(), wanted)) {
     take_rest(topic.treatment);
@@ -333,9 +331,9 @@ void Recorder::reconsider(RecordedTopic& topic, const GraphTopic& found) {
 }
 
 void Recorder::warn_once(const std::string& topic, Treatment wanted, const std::string& text) {
+  const auto* const lost = wanted == Treatment::measured ? "measured: " : "recorded: ";
   if (warned_.insert(topic).second) {
-    const std::string lost = wanted == Treatment::measured ? "measured" : "recorded";
-    link_.post(Packet(Kind::warning).text("topic " + topic + " is not " + lost + ": " + text));
+    link_.post(Packet(Kind::warning).text("topic " + topic + " is not " + lost + text));
   }
 }
 
