@@ -380,9 +380,8 @@ class World:
     def _note(self, key: UnitKey, old: Process | Node | None, new: Process | Node) -> None:
         self.touched.add(key)
         place = self.places.setdefault(key, len(self.places))
-        is_waiting = new.wait is not None or (
-            new.phase is Phase.QUEUED if isinstance(new, Process) else new.stage is Stage.CLEARED
-        )
+        is_queued = isinstance(new, Process) and new.phase is Phase.QUEUED
+        is_waiting = new.wait is not None or is_queued
         (self.waiting.add if is_waiting else self.waiting.discard)(key)
         for at in new.times:
             if old is None or at not in old.times:

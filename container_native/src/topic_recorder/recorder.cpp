@@ -17,8 +17,7 @@ using std::chrono::milliseconds;
 using std::chrono::nanoseconds;
 using std::chrono::seconds;
 
-/// How long a message may wait for the end of its chunk: what a SIGKILL can cost, with what the
-/// supervisor needs to write it.
+/// Until a chunk ends; a SIGKILL costs that, and the time in which the supervisor writes it.
 constexpr milliseconds kLongestLive{150};
 /// The grain in which held messages get too old.
 constexpr milliseconds kLongestHeld{500};
@@ -26,8 +25,7 @@ constexpr milliseconds kLongestHeld{500};
 constexpr milliseconds kBetweenLooks{200};
 constexpr milliseconds kBetweenSends{50};
 constexpr seconds kBetweenReports{1};
-/// By how much a message may have arrived before one that was taken earlier. More than that is the
-/// clock, which was set back.
+/// By how much messages may be taken out of order; more is a clock that was set back.
 constexpr std::uint64_t kLongestWaitNs = nanoseconds(seconds(1)).count();
 /// How long the supervisor may take to write the last chunks, and we to take what has arrived.
 constexpr seconds kLongestEnd{5};
@@ -271,8 +269,8 @@ void Recorder::record(const ParameterSurvey::Parameters& parameters) {
   if (const auto size = put(parameters, now, live_.builder())) {
     append(live_, {parameters_channel_, parameters_sequence_, clock_.now_ns(), now}, *size);
   } else {
-    const std::string reason = parameters.node + " cannot be serialised";
-    warn_once(kParametersTopic, Treatment::recorded, "those of " + reason);
+    const std::string reason = "those of " + parameters.node + " cannot be serialised";
+    warn_once(kParametersTopic, Treatment::recorded, reason);
   }
 }
 
@@ -317,10 +315,13 @@ void Recorder::reconsider(RecordedTopic& topic, const GraphTopic& found) {
   if (found.types.size() > 1 && warned_.insert(topic.name).second) {
     link_.post(Packet(Kind::warning)
                    .text("topic " + topic.name + " has several types by now (" +
-                         found.types_in_words() + "): only " + topic.type + " counts"));
+                         found.types_in_words() + "): only " + topic.type + " is " +
+                         in_words(topic.treatment)));
   }
   const auto offered = node_.offered(topic.name);
-  if (offered.empty()) return;
+  if (offered.empty()) {
+    return;
+  }
   const rmw_qos_profile_t wanted = request_for(offered, topic.treatment);
   if (asks_too_much(topic.subscription->qos(), wanted)) {
     take_rest(topic.treatment);
@@ -331,9 +332,9 @@ void Recorder::reconsider(RecordedTopic& topic, const GraphTopic& found) {
 }
 
 void Recorder::warn_once(const std::string& topic, Treatment wanted, const std::string& text) {
-  const auto* const lost = wanted == Treatment::measured ? "measured: " : "recorded: ";
   if (warned_.insert(topic).second) {
-    link_.post(Packet(Kind::warning).text("topic " + topic + " is not " + lost + text));
+    const std::string lost = std::string(" is not ") + in_words(wanted) + ": ";
+    link_.post(Packet(Kind::warning).text("topic " + topic + lost + text));
   }
 }
 

@@ -49,6 +49,11 @@ enum class Treatment {
   measured,
 };
 
+/// What users read of it.
+constexpr const char* in_words(Treatment treatment) {
+  return treatment == Treatment::measured ? "measured" : "recorded";
+}
+
 /// Whether a name fits a pattern: `*` stands for any text, slashes included, `?` for one character.
 /// A pattern does not reach hidden topics (a part begins with `_`) unless it names such a part.
 bool matches(const std::string& pattern, const std::string& topic);
