@@ -58,7 +58,7 @@ def fields(unit: dict[str, Any], now_ns: int) -> Iterator[tuple[str, str]]:
         state += f" since {since} ({duration(now_ns - since_ns)} ago)"
     yield "State", f"{state}: {unit['reason']}" if unit["reason"] else state
     yield "Machine", unit.get("machine", "")
-    if managed := unit.get("managed"):
+    if (managed := unit.get("managed")) and managed["state"] != "absent":
         reason = f": {managed['reason']}" if managed["reason"] else ""
         yield "Lifecycle", f"{managed['state']}{reason}"
     yield "Wanted", "" if unit["wanted"] else "no, stopped or unloaded by an operator"

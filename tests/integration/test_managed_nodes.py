@@ -224,3 +224,18 @@ def test_waiting_ends_with_the_reason_when_a_transition_fails(tmp_path: Path) ->
         replay.until_operable()
         failed = replay.ask(*WAIT, "--timeout", "60", code=1)
         assert "/one: its transition activate failed" in failed.stderr
+
+
+def test_what_is_not_driven_any_more_has_no_lifecycle_state(tmp_path: Path) -> None:
+    waits = [{"name": "one", "condition": "active"}]
+    waiting = {"name": "late", "command": ["true"], "depends_on": waits}
+    config = write(tmp_path, containers=[container(node("one"))], nodes=[waiting])
+    with replaying(config, tmp_path / "logs") as replay:
+        replay.ask(*WAIT, code=0)
+        assert "Lifecycle: active" in replay.ask("status", "one", code=0).stdout
+        # It goes on being watched.
+        watched = scenes.node("one", "Managed")
+        write(tmp_path, containers=[container(watched)], nodes=[waiting])
+        replay.ask("apply", config, code=0)
+        replay.until(event="managed", node="/one", state="absent")
+        assert "Lifecycle" not in replay.ask("status", "one", code=0).stdout
