@@ -1,10 +1,11 @@
-"""Three hosts of 50 composable nodes each, beside one of them alone; `ps`; cut connections.
+"""Three hosts of 50 composable nodes each, beside the same without a coordinator; `ps`; cuts.
 
     python -m benchmarks.machines [--runs N] [--cuts N] [--containers N] [--json]
 
-The hosts are network namespaces of this machine and share its CPUs: with fewer than three for each
-host, the ratio of the times says more about discovery on these CPUs than about several machines.
-Needs root. A process on the host that is cut counts; all its lines have to arrive.
+The hosts are network namespaces of this machine and share its CPUs. So their bring-up as one system
+is measured beside three supervisors that are started by hand at the same moment, which have the
+same work and the same discovery, as well as beside one host alone. Needs root. A process on the
+host that is cut counts; all its lines have to arrive.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from benchmarks.sampling import cpu_seconds
 from benchmarks.statistics import header, row
 from play_launch.deploy.machines.namespaces import missing
@@ -29,6 +32,8 @@ from tests.support.waiting import until
 HOSTS, NODES = 3, 10
 CUT = 3.0
 """Seconds: longer than `lost_after`."""
+AT_REST = 50
+"""Percent of this machine's CPUs: discovery is over, the nodes that talk remain."""
 PROGRAM = Path(sys.executable).with_name("play-launch")
 
 
@@ -50,7 +55,7 @@ def configuration(of: Sequence[int], containers: int, *, by_machines: bool) -> s
     machine = {"service": "none", "play_launch": str(PROGRAM), "lost_after": "2 s"}
     values: dict[str, Any] = {
         "version": 1,
-        "name": "several",
+        "name": "several" if by_machines else f"apart{of[0]}",
         "environment": {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_DOMAIN_ID": "7"},
         "record": {"sampling": {"period": "never"}},
         "containers": found,
@@ -69,30 +74,36 @@ def usage(pid: int) -> tuple[float, int]:
     return cpu_seconds(pid), int(memory)
 
 
-def started(net: Hosts, config: Path, content: str) -> tuple[Running, float]:
-    """Start a system; return it and the seconds until all is loaded."""
-    config.write_text(content)
+def started(net: Hosts, stem: str, contents: dict[int, str]) -> tuple[list[Running], float]:
+    """Start systems, by host; return them and the seconds until all is loaded."""
+    configs = {host: net.folder / f"{stem}_{host}.yaml" for host in contents}
+    for host, content in contents.items():
+        configs[host].write_text(content)
     began = time.monotonic()
-    return Running(net, config).loaded(), time.monotonic() - began
+    systems = [Running(net, config, host) for host, config in configs.items()]
+    for system in systems:
+        system.loaded()
+    return systems, time.monotonic() - began
 
 
 def measure(runs: int, cuts: int, containers: int) -> dict[str, Any]:
-    found: dict[str, Any] = {"alone_s": [], "three_s": [], "ps_s": [], "ticks": 0, "lost": 0}
+    found: dict[str, Any] = {"ticks": 0, "lost": 0}
+    found |= {key: [] for key in ("alone_s", "apart_s", "three_s", "ps_s", "ps_at_rest_s")}
+    hosts = range(1, HOSTS + 1)
+    apart = {host: configuration([host], containers, by_machines=False) for host in hosts}
     with tempfile.TemporaryDirectory(prefix="machines-") as name, Hosts(Path(name), HOSTS) as net:
         for number in range(runs):
-            content = configuration([HOSTS], containers, by_machines=False)
-            alone, seconds = started(net, Path(name, f"alone{number}.yaml"), content)
-            found["alone_s"].append(seconds)
-            alone.stop()
-            content = configuration(range(1, HOSTS + 1), containers, by_machines=True)
-            three, seconds = started(net, Path(name, f"three{number}.yaml"), content)
+            for key, contents in (("alone_s", {HOSTS: apart[HOSTS]}), ("apart_s", apart)):
+                systems, seconds = started(net, f"{key}{number}", contents)
+                found[key].append(seconds)
+                for system in systems:
+                    system.stop()
+            content = configuration(hosts, containers, by_machines=True)
+            [three], seconds = started(net, f"three{number}", {1: content})
             found["three_s"].append(seconds)
-            for _ in range(5):
-                began = time.monotonic()
-                rows = three.rows()
-                found["ps_s"].append(time.monotonic() - began)
-                if len(rows) != HOSTS * containers * (NODES + 1) + 1:
-                    raise SystemExit(f"ps lists {len(rows)} rows")
+            _ask(three, HOSTS * containers * (NODES + 1) + 1, found["ps_s"])
+            until(lambda: psutil.cpu_percent(1) < AT_REST, "rest")
+            _ask(three, HOSTS * containers * (NODES + 1) + 1, found["ps_at_rest_s"])
             if number == runs - 1:
                 _cut(net, three, cuts, found)
             three.stop()
@@ -100,6 +111,15 @@ def measure(runs: int, cuts: int, containers: int) -> dict[str, Any]:
             found["ticks"] += len(ticks)
             found["lost"] += max(ticks) - len(set(ticks))
     return found
+
+
+def _ask(system: Running, count: int, seconds: list[float]) -> None:
+    for _ in range(5):
+        began = time.monotonic()
+        rows = system.rows()
+        seconds.append(time.monotonic() - began)
+        if len(rows) != count:
+            raise SystemExit(f"ps lists {len(rows)} rows, not {count}")
 
 
 def _cut(net: Hosts, system: Running, cuts: int, found: dict[str, Any]) -> None:
@@ -132,10 +152,18 @@ def main() -> None:
     nodes = HOSTS * options.containers * NODES
     print(f"{nodes} nodes on {HOSTS} hosts, {os.cpu_count()} CPUs for all")
     print(header())
-    for name, key in (("one alone", "alone_s"), ("all three", "three_s"), ("ps", "ps_s")):
+    for name, key in (
+        ("one alone", "alone_s"),
+        ("three apart", "apart_s"),
+        ("all three", "three_s"),
+        ("ps at once", "ps_s"),
+        ("ps at rest", "ps_at_rest_s"),
+    ):
         print(row(name, [1000 * each for each in found[key]], "ms"))
-    ratio = statistics.median(found["three_s"]) / statistics.median(found["alone_s"])
-    print(f"all three / one alone: {ratio:.1f}")
+    alone, apart, three = (
+        statistics.median(found[f"{key}_s"]) for key in ("alone", "apart", "three")
+    )
+    print(f"all three: {three / apart:.2f} x apart, {three / alone:.1f} x one alone")
     print(f"{found['lost']} of {found['ticks'] + found['lost']} lines lost")
     begin, end = found["memory_kb"]
     print(f"{options.cuts} cuts: {found['cpu_s_of_a_cut']:.2f} s of CPU each, {begin} to {end} kB")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 import signal
 from pathlib import Path
 
@@ -15,7 +17,7 @@ pytestmark = pytest.mark.skipif(bool(missing_systemd()), reason=f"systemd: {miss
 
 
 def test_systemd_keeps_the_sessions_of_machines(tmp_path: Path) -> None:
-    """One test, as two hosts are booted for it: linger, notify, restart, adoption, reboot."""
+    """One test, as hosts are booted for it: linger, notify, restart, adoption, reboots, service."""
     config = tmp_path / "units.yaml"
     config.write_text(
         f"""\
@@ -47,7 +49,9 @@ containers:
         assert "machine user: " in refused.stderr
         assert "loginctl enable-linger" in refused.stderr
         net.ssh("root@s21", "loginctl enable-linger robot")
-        (tmp_path / "hosts/root21.linger").touch()
+        linger = tmp_path / "hosts/root21.disk/var/lib/systemd/linger"
+        linger.mkdir(parents=True)
+        (linger / "robot").touch()
 
         show = "systemctl --user show -p {} --value play-launch-units-user"
         with running(net, config) as first:
@@ -73,5 +77,38 @@ containers:
             second.loaded()
             assert second.rows()["/talker"]["state"] == "loaded"
             second.stop()
-        for host, manager in (("robot@s21", "systemctl --user"), ("root@s22", "systemctl")):
-            assert not net.ssh(host, f"{manager} list-units --no-legend 'play-launch*'")
+        _nothing_runs(net)
+        _a_service_brings_them_up(net, config)
+        _nothing_runs(net)
+
+
+def _nothing_runs(net: Hosts) -> None:
+    for host, manager in (("robot@s21", "systemctl --user"), ("root@s22", "systemctl")):
+        assert not net.ssh(host, f"{manager} list-units --no-legend 'play-launch*'")
+
+
+def _a_service_brings_them_up(net: Hosts, config: Path) -> None:
+    """The coordinator's host starts it at boot; after another boot, it adopts what runs."""
+    disk = net.folder / "root23.disk"
+    shutil.copytree(net.home / ".ssh", disk / "root/.ssh")
+    shutil.copy(config, disk / "root")
+    net.boot(23)
+    units = disk / "etc/systemd/system"
+    (units / "host.target.wants").mkdir(parents=True)
+    unit = net.ssh("root@s23", f"{COMMAND} systemd-unit units.yaml")
+    (units / "robot.service").write_text(unit or "")
+    (units / "host.target.wants/robot.service").symlink_to("../robot.service")
+
+    def booted() -> dict[str, int]:
+        net.boot(23)
+        until(
+            lambda: net.ssh("root@s23", "systemctl is-active robot", None) is not None, "its start"
+        )
+        rows = json.loads(net.ssh("root@s23", f"{COMMAND} ps --json") or "")
+        assert {row["state"] for row in rows} <= {"loaded", "running"}
+        return {row["name"]: row["pid"] for row in rows}
+
+    assert booted() == booted()
+    status = net.ssh("root@s23", "systemctl status robot")
+    assert "2 of 2 machines running, 4 of 4 up" in (status or "")
+    net.ssh("root@s23", "systemctl stop robot")

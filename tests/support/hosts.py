@@ -52,8 +52,7 @@ for folder in $4 $5; do
   while folder=$(dirname $folder) && [ $folder != / ]; do chmod a+x $root$folder; done
 done
 chroot $root useradd -m -s /bin/bash robot
-mkdir -p $root/var/lib/systemd/linger
-[ ! -e $2.linger ] || touch $root/var/lib/systemd/linger/robot
+[ ! -e $2.disk ] || cp -a $2.disk/. $root
 printf '%s\\n' 'HostKey /etc/ssh/host_key' 'UsePAM yes' 'PermitRootLogin yes' 'StrictModes no' \
   'AuthorizedKeysFile /etc/ssh/authorized_keys' 'Subsystem sftp internal-sftp' \\
   > $root/etc/ssh/sshd_config
@@ -108,7 +107,8 @@ class Hosts(Namespaces):
     def boot(self, number: int) -> None:
         """Boot a host with a systemd of its own, over this machine's files; root and robot log in.
 
-        It is reached as s<number>. A second call is a reboot.
+        It is reached as s<number>. A second call is a reboot: of what was written on the host,
+        only what lies in the folder root<number>.disk is there again.
         """
         name, folder = self.namespace(number), self.folder / f"root{number}"
         if number in self._booted:
@@ -154,8 +154,8 @@ class Hosts(Namespaces):
         assert code in {None, done.returncode}, f"{command}: {done.stdout}{done.stderr}"
         return done.stdout if done.returncode == 0 else None
 
-    def play_launch(self, *words: str) -> list[str]:
-        return self.command(str(COMMAND), *words)
+    def play_launch(self, *words: str, host: int = 1) -> list[str]:
+        return self.command(str(COMMAND), *words, host=host)
 
     def run(self, *words: str, code: int | None = None) -> subprocess.CompletedProcess[str]:
         """Run play-launch on h1 to its end; with ``code``, it has to exit with that."""
@@ -168,15 +168,15 @@ class Hosts(Namespaces):
 
 
 class Running:
-    """A coordinator and what it prints."""
+    """A coordinator, or the only supervisor of a system, and what it prints."""
 
-    def __init__(self, net: Hosts, config: Path) -> None:
-        self.net = net
+    def __init__(self, net: Hosts, config: Path, host: int = 1) -> None:
+        self.net, self.host = net, host
         self.name = config.stem
         self.output = config.with_suffix(".out")
         with self.output.open("ab") as out:
             self.process = subprocess.Popen(
-                net.play_launch("replay", "--json", str(config)),
+                net.play_launch("replay", "--json", str(config), host=host),
                 env=net.environment,
                 stdin=subprocess.DEVNULL,
                 stdout=out,
@@ -186,7 +186,7 @@ class Running:
 
     def ask(self, *words: str, code: int | None = 0) -> str:
         done = subprocess.run(
-            self.net.play_launch(*words, "--session", str(self.process.pid)),
+            self.net.play_launch(*words, "--session", str(self.process.pid), host=self.host),
             env=self.net.environment,
             capture_output=True,
             text=True,
