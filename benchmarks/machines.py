@@ -1,11 +1,11 @@
 """Three hosts of 50 composable nodes each, beside the same without a coordinator; `ps`; cuts.
 
-    python -m benchmarks.machines [--runs N] [--cuts N] [--containers N] [--json]
+    python -m benchmarks.machines [--runs N] [--cuts N] [--seconds S] [--containers N] [--json]
 
 The hosts are network namespaces of this machine and share its CPUs. So their bring-up as one system
 is measured beside three supervisors that are started by hand at the same moment, which have the
-same work and the same discovery, as well as beside one host alone. Needs root. A process on the
-host that is cut counts; all its lines have to arrive.
+same work and the same discovery, as well as beside one host alone. Needs root. On the host that is
+cut, a process counts and another ends again and again: all its lines and starts have to arrive.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from tests.support.hosts import Hosts, Running
 from tests.support.waiting import until
 
 HOSTS, NODES = 3, 10
-CUT = 3.0
-"""Seconds: longer than `lost_after`."""
+LOST_AFTER = 2
+"""Seconds without an answer until a host is lost."""
 AT_REST = 50
 """Percent of this machine's CPUs: discovery is over, the nodes that talk remain."""
 PROGRAM = Path(sys.executable).with_name("play-launch")
@@ -51,8 +51,16 @@ def configuration(of: Sequence[int], containers: int, *, by_machines: bool) -> s
         for host in of
         for container in range(containers)
     ]
-    script = "i=0; while :; do echo tick $((i += 1)); read -t 0.2 <> <(:); done"
-    machine = {"service": "none", "play_launch": str(PROGRAM), "lost_after": "2 s"}
+    ticks = "i=0; while :; do echo tick $((i += 1)); read -t 0.2 <> <(:); done"
+    ends = {
+        "on_exit": "restart",
+        "restart": {"max_restarts": 100, "within": "1 s", "backoff": {"maximum": "200 ms"}},
+    }
+    machine = {
+        "service": "none",
+        "play_launch": str(PROGRAM),
+        "lost_after": f"{LOST_AFTER} s",
+    }
     values: dict[str, Any] = {
         "version": 1,
         "name": "several" if by_machines else f"apart{of[0]}",
@@ -63,7 +71,8 @@ def configuration(of: Sequence[int], containers: int, *, by_machines: bool) -> s
     if by_machines:
         values["machines"] = {f"h{host}": machine for host in of}
         values["nodes"] = [
-            {"name": "ticks", "machine": f"h{HOSTS}", "command": ["bash", "-c", script]}
+            {"name": "ticks", "machine": f"h{HOSTS}", "command": ["bash", "-c", ticks]},
+            {"name": "ends", "machine": f"h{HOSTS}", "command": ["sleep", "0.3"], **ends},
         ]
     return json.dumps(values)
 
@@ -86,8 +95,8 @@ def started(net: Hosts, stem: str, contents: dict[int, str]) -> tuple[list[Runni
     return systems, time.monotonic() - began
 
 
-def measure(runs: int, cuts: int, containers: int) -> dict[str, Any]:
-    found: dict[str, Any] = {"ticks": 0, "lost": 0}
+def measure(runs: int, cuts: int, cut: float, containers: int) -> dict[str, Any]:
+    found: dict[str, Any] = {"ticks": [0, 0], "starts": [0, 0]}
     found |= {key: [] for key in ("alone_s", "apart_s", "three_s", "ps_s", "ps_at_rest_s")}
     hosts = range(1, HOSTS + 1)
     apart = {host: configuration([host], containers, by_machines=False) for host in hosts}
@@ -101,16 +110,28 @@ def measure(runs: int, cuts: int, containers: int) -> dict[str, Any]:
             content = configuration(hosts, containers, by_machines=True)
             [three], seconds = started(net, f"three{number}", {1: content})
             found["three_s"].append(seconds)
-            _ask(three, HOSTS * containers * (NODES + 1) + 1, found["ps_s"])
+            _ask(three, HOSTS * containers * (NODES + 1) + 2, found["ps_s"])
             until(lambda: psutil.cpu_percent(1) < AT_REST, "rest")
-            _ask(three, HOSTS * containers * (NODES + 1) + 1, found["ps_at_rest_s"])
+            _ask(three, HOSTS * containers * (NODES + 1) + 2, found["ps_at_rest_s"])
             if number == runs - 1:
-                _cut(net, three, cuts, found)
+                _cut(net, three, cuts, cut, found)
             three.stop()
-            ticks = three.ticks()
-            found["ticks"] += len(ticks)
-            found["lost"] += max(ticks) - len(set(ticks))
+            _count(three.ticks(), 1, found["ticks"])
+            starts = [
+                each["restarts"]
+                for each in three.events()
+                if each["event"] == "process" and each["name"] == "/ends"
+                if each["kind"] == "started"
+            ]
+            _count(starts, 0, found["starts"])
     return found
+
+
+def _count(numbers: list[int], first: int, found: list[int]) -> None:
+    """Add how many numbers there are, and how many are not there, or not once."""
+    found[0] += len(numbers)
+    wrong = set(range(first, max(numbers) + 1)) ^ set(numbers)
+    found[1] += len(wrong) + len(numbers) - len(set(numbers))
 
 
 def _ask(system: Running, count: int, seconds: list[float]) -> None:
@@ -122,11 +143,11 @@ def _ask(system: Running, count: int, seconds: list[float]) -> None:
             raise SystemExit(f"ps lists {len(rows)} rows, not {count}")
 
 
-def _cut(net: Hosts, system: Running, cuts: int, found: dict[str, Any]) -> None:
+def _cut(net: Hosts, system: Running, cuts: int, cut: float, found: dict[str, Any]) -> None:
     before = usage(system.process.pid)
     for _ in range(cuts):
         net.set_link(HOSTS, "down")
-        time.sleep(CUT)
+        time.sleep(cut)
         net.set_link(HOSTS, "up")
         until(lambda: '"running"' in system.ask("ps", "--json", "ticks"), "its return")
     after = usage(system.process.pid)
@@ -140,12 +161,13 @@ def main() -> None:
     )
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--cuts", type=int, default=100)
+    parser.add_argument("--seconds", type=float, default=LOST_AFTER + 1, help="of a cut")
     parser.add_argument("--containers", type=int, default=5, help="of 10 nodes, on each host")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     if problem := missing():
         raise SystemExit(problem)
-    found = measure(options.runs, options.cuts, options.containers)
+    found = measure(options.runs, options.cuts, options.seconds, options.containers)
     if options.json:
         print(json.dumps(found))
         return
@@ -164,7 +186,8 @@ def main() -> None:
         statistics.median(found[f"{key}_s"]) for key in ("alone", "apart", "three")
     )
     print(f"all three: {three / apart:.2f} x apart, {three / alone:.1f} x one alone")
-    print(f"{found['lost']} of {found['ticks'] + found['lost']} lines lost")
+    for key, what in (("ticks", "lines"), ("starts", "starts of a process")):
+        print(f"{found[key][0]} {what} arrived, {found[key][1]} lost or doubled")
     begin, end = found["memory_kb"]
     print(f"{options.cuts} cuts: {found['cpu_s_of_a_cut']:.2f} s of CPU each, {begin} to {end} kB")
 
