@@ -65,7 +65,13 @@ def check(  # noqa: PLR0917 - options, by name
         return ExitCode.USAGE
     if machine:
         loaded = part(loaded, machine)
-    notes = [] if machine else discovery_problems(loaded, os.environ)
+    notes = (
+        []
+        if machine
+        else discovery_problems(
+            loaded, {each.name: os.environ for each in loaded.machines.values() if each.local}
+        )
+    )
     started: list[dict[str, Any]] = []
     explained: dict[str, Any] = {}
     if explain:

@@ -7,7 +7,6 @@ import contextlib
 import gc
 import json
 import logging
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -16,10 +15,10 @@ from play_launch import ExitCode
 from play_launch.cli.background import going_on
 from play_launch.cli.check import describe
 from play_launch.cli.events import text_of
-from play_launch.cli.output import report, say_live, warn
+from play_launch.cli.output import report, say_live
 from play_launch.cli.show.display import Screen, Style, encode
 from play_launch.cli.systemd_unit import program
-from play_launch.config.machines import MachineConfig, discovery_problems, used_machines
+from play_launch.config.machines import MachineConfig, used_machines
 from play_launch.control.event_words import event_object, words_of
 from play_launch.control.registration import ControlSocket
 from play_launch.control.serve import hello_of
@@ -92,8 +91,6 @@ def run_machines(
     manager: ServiceManager | None = None,
 ) -> int:
     """Bring the system up on its machines, keep it until its end, and return the exit code."""
-    for each in discovery_problems(config, os.environ):
-        warn(each)
     with RunSignals() as signals, contextlib.ExitStack() as opened:
         session = open_session(
             description, log_folder=log_folder or config.log_dir, record=config.record

@@ -153,10 +153,13 @@ def used_machines(config: ReplayConfig) -> list[str]:
     return [name for name in config.machines if name in used]
 
 
-def discovery_problems(config: ReplayConfig, environ: Mapping[str, str]) -> list[str]:
+def discovery_problems(
+    config: ReplayConfig, environs: Mapping[str, Mapping[str, str]]
+) -> list[str]:
     """List, with their fixes, settings with which nodes of two machines do not find each other.
 
-    None of them leads to an error of ROS.
+    None of them leads to an error of ROS. `environs` are the environments of machines, as far as
+    they are known, without that of the configuration.
     """
     parts = [part_of(config, name) for name in used_machines(config)]
     if len(parts) < 2:
@@ -164,9 +167,7 @@ def discovery_problems(config: ReplayConfig, environ: Mapping[str, str]) -> list
     found = []
     domains = set()
     for part in parts:
-        variables = dict(part.environment)
-        if config.machines[part.machine].local:
-            variables = {**environ, **variables}
+        variables = {**environs.get(part.machine, {}), **part.environment}
         domains.add(variables.get("ROS_DOMAIN_ID") or "0")
         if variables.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() in {"LOCALHOST", "OFF"} and (
             config.discovery is DiscoveryBy.MULTICAST

@@ -80,7 +80,7 @@ def test_a_machine_comes_and_goes(net: Hosts, tmp_path: Path) -> None:
         }
         after = guest.rows()
         assert after.keys() == before.keys()
-        assert not supervisors(net, 3)
+        until(lambda: not supervisors(net, 3), "the end of the supervisor that was removed")
         assert {name: row["pid"] for name, row in after.items()} == {
             name: row["pid"] for name, row in before.items()
         }

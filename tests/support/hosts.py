@@ -104,6 +104,12 @@ class Hosts(Namespaces):
         server = f"exec {_SSHD} -D -e -f {folder}/sshd_config"
         return ["bash", "-c", f"echo runs; {server}"]
 
+    def set_multicast(self, state: str) -> None:
+        """Let the switch carry multicast (`on`), or not (`off`)."""
+        for number in range(1, self.count + 1):
+            words = ("link", "set", f"v{number}", "type", "bridge_slave", "mcast_flood", state)
+            subprocess.run(["ip", "-n", self._switch, *words], check=True)
+
     def boot(self, number: int) -> None:
         """Boot a host with a systemd of its own, over this machine's files; root and robot log in.
 

@@ -155,18 +155,25 @@ class Bundle:
         if lock:
             file = shlex.quote(f"{self.folder.removesuffix(self._hash)}lock")
             lines.append(f"exec 9> {file} && flock -n 9 || {{ echo {shlex.quote(BUSY)}; exit 0; }}")
-        lines += [f". {_path(file)} || exit 3" for file in self.machine.setup]
-        variables = dict(self.machine.environment)
-        if self._peers:
-            variables.setdefault("ROS_STATIC_PEERS", ";".join(self._peers))
-        lines += [f"export {name}={shlex.quote(value)}" for name, value in variables.items()]
-        lines.append(f"cd {shlex.quote(os.path.dirname(self.source))}")  # noqa: PTH120
         program = (
             shlex.quote(self._program) if self.machine.local else _path(self.machine.play_launch)
         )
         words = ["--machine", self.machine.name, self.source, *self.arguments]
-        lines.append(f"exec {program} {command} {shlex.join(words)}")
+        lines += [
+            *self.environment_lines(),
+            f"cd {shlex.quote(os.path.dirname(self.source))}",  # noqa: PTH120
+            f"exec {program} {command} {shlex.join(words)}",
+        ]
         return "\n".join(lines) + "\n"
+
+    def environment_lines(self) -> list[str]:
+        """Return the lines of a script that make the machine's environment."""
+        lines = [f". {_path(file)} || exit 3" for file in self.machine.setup]
+        variables = dict(self.machine.environment)
+        if self._peers:
+            variables.setdefault("ROS_STATIC_PEERS", ";".join(self._peers))
+        lines += [f"export {name}={shlex.quote(value)}" for name, value in variables.items()]
+        return lines
 
     def start_command(self) -> str:
         adopted = self.folder.removesuffix(f"-{self._hash}")

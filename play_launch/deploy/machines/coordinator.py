@@ -6,13 +6,20 @@ import asyncio
 import contextlib
 import logging
 from typing import TYPE_CHECKING, Any, Final
+from uuid import uuid4
 
 import anyio
 from msgspec import convert
 from msgspec.structs import replace
 
 from play_launch import ExitCode
-from play_launch.config.machines import DiscoveryBy, part_of, stopped_after, used_machines
+from play_launch.config.machines import (
+    DiscoveryBy,
+    discovery_problems,
+    part_of,
+    stopped_after,
+    used_machines,
+)
 from play_launch.control.event_words import event_object, words_of
 from play_launch.control.messages import UnitRow
 from play_launch.control.protocol import Code, OperationError
@@ -20,6 +27,7 @@ from play_launch.control.units import health_counts
 from play_launch.deploy.machines.applying import Applying, without_units
 from play_launch.deploy.machines.hosts import HostError, LinkLost
 from play_launch.deploy.machines.part import BEGUN, OVER, Part
+from play_launch.deploy.machines.reach import reach_problems, report_of
 from play_launch.deploy.machines.requests import Requests
 from play_launch.deploy.report import Seen
 from play_launch.deploy.unit import stop_seconds
@@ -33,6 +41,7 @@ if TYPE_CHECKING:
 
     from play_launch.config.machines import MachineConfig
     from play_launch.config.model import ReplayConfig
+    from play_launch.deploy.machines.reach import Report
     from play_launch.recording.recorder import Recorder
     from play_launch.supervisor.events import MachineChanged, RunEvent
 
@@ -216,11 +225,38 @@ class Coordinator:
 
     async def _begin(self, left: Sequence[MachineConfig]) -> None:
         await self._prepare_all()
+        await self._check_discovery()
         used = used_machines(self.config)
         async with anyio.create_task_group() as tasks:
             for machine in left:
                 if machine.name not in used:
                     tasks.start_soon(self._end_earlier, machine)
+
+    async def _check_discovery(self) -> None:
+        """Warn of what keeps nodes of two machines from finding each other."""
+        used = set(used_machines(self.config))
+        parts = [part for part in self.parts.values() if part.name in used]
+        names = [part.name for part in parts]
+        multicast = self.config.discovery is DiscoveryBy.MULTICAST
+        token = uuid4().hex
+        reports: dict[str, Report] = {}
+
+        async def ask(part: Part) -> None:
+            others = [name for name in names if name != part.name]
+            with contextlib.suppress(LinkLost):
+                found = await report_of(part, token, others, multicast=multicast)
+                if found is not None:
+                    reports[part.name] = found
+
+        async with anyio.create_task_group() as tasks:
+            for part in parts:
+                tasks.start_soon(ask, part)
+        reports = {name: reports[name] for name in names if name in reports}
+        environs = {name: report["variables"] for name, report in reports.items()}
+        problems = discovery_problems(self.config, environs)
+        problems += reach_problems(reports, multicast=multicast and not problems)
+        for problem in problems:
+            _log.warning("%s", problem)
 
     async def _end_earlier(self, machine: MachineConfig) -> None:
         config = replace(without_units(self.config), machines={machine.name: machine})

@@ -41,7 +41,7 @@ _COMMAND_LIMIT: Final = 60.0
 """Seconds for a command: the check of a configuration from a cold disk."""
 _CLOSE_LIMIT: Final = 1.0
 _ATTEMPT: Final = 10.0
-"""Seconds of one attempt of the first connection, at least; half of the time that is left."""
+"""Seconds of the first attempt to connect; the next ones may take 20 s, 40 s, ..."""
 _PAUSE: Final = 0.5
 """Seconds between two."""
 _ABOUT: Final = """\
@@ -130,13 +130,12 @@ async def connect_at_first(machine: MachineConfig) -> tuple[Host, About]:
 
     Raises HostError where a person has to act, and LinkLost.
     """
-    left = machine.connect_timeout
+    left, attempt = machine.connect_timeout, _ATTEMPT
     deadline = time.monotonic() + left
     is_reported = False
     while True:
         try:
-            limit = min(left, max(left / 2, _ATTEMPT))
-            host = await connect(replace(machine, connect_timeout=limit))
+            host = await connect(replace(machine, connect_timeout=min(left, attempt)))
             try:
                 return host, await about(host)
             except BaseException:
@@ -144,6 +143,8 @@ async def connect_at_first(machine: MachineConfig) -> tuple[Host, About]:
                 raise
         except LinkLost as lost:
             text = f"it does not answer: {lost}"
+        # A machine that is up by now is found by the next attempt; a slow login needs a longer one.
+        attempt *= 2
         left = deadline - time.monotonic() - _PAUSE
         if left <= 0:
             raise LinkLost(f"{text}; try `ssh {machine.ssh or machine.name} true`")
