@@ -13,9 +13,7 @@ import psutil
 import pytest
 
 from play_launch.deploy.machines.namespaces import missing
-from tests.deploy.listening import Listening, closing
 from tests.support.hosts import Hosts, running, supervisors, system
-from tests.support.replay import COMMAND
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"hosts: {missing()}")
@@ -119,22 +117,6 @@ def test_a_cut_loses_no_line_and_stops_nothing(net: Hosts, tmp_path: Path) -> No
     assert "\n  Cause: the connection is lost: " in explained
 
 
-def test_a_stop_amid_the_start_leaves_nothing(net: Hosts, tmp_path: Path) -> None:
-    with running(net, system(tmp_path, "earliest")) as earliest:
-        begun = net.home / ".ros/play_launch"
-        until(lambda: any(begun.glob("*-earliest")), "its recording")
-        earliest.process.send_signal(signal.SIGINT)
-        assert earliest.process.wait(40) in {0, 3, 130}, earliest.printed()
-    assert not supervisors(net, 2)
-    for word in ("h2", "h3"):
-        with running(net, system(tmp_path, f"early_{word}")) as early:
-            until(lambda: f'"machine":"{word}"' in early.printed(), "the first event")  # noqa: B023
-            early.process.send_signal(signal.SIGINT)
-            assert early.process.wait(40) in {1, 3, 130}, early.printed()
-        assert not supervisors(net, 2)
-        assert not supervisors(net, 3)
-
-
 NOTES_COLLECTING = """\
 import atexit, gc, pathlib, sys
 def note():
@@ -176,24 +158,6 @@ def test_a_machine_that_ends_while_it_is_cut_has_ended(net: Hosts, tmp_path: Pat
         assert timed.process.wait(40) == 0, timed.printed()
         texts = [each.get("text", "") for each in timed.events()]
         assert len([each for each in texts if "h3 is unreachable" in each]) == 1
-
-
-def test_a_full_disk_of_a_machine_is_said_before_anything_starts(
-    net: Hosts, tmp_path: Path
-) -> None:
-    (tmp_path / "map").write_bytes(bytes(1_000_000))
-    cache = net.folder / "home3/.cache"
-    cache.mkdir(exist_ok=True)
-    mount = ("mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(cache))
-    subprocess.run(net.command(*mount, host=3), check=True)
-    try:
-        config = system(tmp_path, "full", h3=", copy: [map]")
-        done = net.run("replay", str(config))
-    finally:
-        subprocess.run(net.command("umount", "-l", str(cache), host=3), check=True)
-    assert done.returncode == 1
-    assert "machine h3: files cannot be written there: " in done.stderr
-    assert not supervisors(net, 2)
 
 
 def test_detached_machines_run_on_and_the_next_replay_adopts_them(
@@ -239,29 +203,6 @@ def test_on_exit_shutdown_of_one_machine_ends_all(net: Hosts, tmp_path: Path) ->
     assert not supervisors(net, 2)
 
 
-def test_the_others_start_without_an_optional_machine(net: Hosts, tmp_path: Path) -> None:
-    config = system(tmp_path, "some", h3=", optional: true, ssh: 10.77.0.99, connect_timeout: 1 s")
-    with running(net, config) as some:
-        assert "/listener" not in some.loaded().rows()
-        assert "the others start without it" in some.printed()
-        some.stop()
-
-
-def test_an_optional_machine_joins_when_it_answers(net: Hosts, tmp_path: Path) -> None:
-    config = system(tmp_path, "joins", h3=", optional: true, connect_timeout: 1 s")
-    net.set_link(3, "down")
-    try:
-        with running(net, config) as joins:
-            assert "/listener" not in joins.loaded().rows()
-            net.set_link(3, "up")
-            until(lambda: "/listener" in joins.rows(), "the machine")
-            assert joins.loaded().rows()["/listener"]["machine"] == "h3"
-            assert "h3: it answers by now, and is started" in joins.printed()
-            joins.stop()
-    finally:
-        net.set_link(3, "up")
-
-
 def test_a_configuration_that_was_only_compared_is_not_started(net: Hosts, tmp_path: Path) -> None:
     config = system(tmp_path, "same")
     with running(net, config) as same:
@@ -280,16 +221,6 @@ def test_a_configuration_that_was_only_compared_is_not_started(net: Hosts, tmp_p
         same.loaded()  # a machine that is lost is waited for
         assert "/talker2" in same.rows()
         same.stop()
-
-
-def test_peers_find_each_other_without_multicast(net: Hosts, tmp_path: Path) -> None:
-    config = system(tmp_path, "peers")
-    text = config.read_text().replace("RANGE: SUBNET", "RANGE: LOCALHOST")
-    config.write_text(f"{text}discovery: {{by: peers}}\n")
-    with running(net, config) as peers:
-        peers.loaded()
-        until(lambda: "I heard" in peers.ask("logs", "listener"), "a message from the other host")
-        peers.stop()
 
 
 def test_a_coordinator_that_was_killed_is_followed_by_one_that_adopts(
@@ -377,74 +308,3 @@ def test_without_its_coordinator_a_machine_with_stop_after_stops_itself(
         assert supervisors(net, 2)
     with running(net, config) as heir:
         heir.loaded().stop()
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"h3: {": "h3: {ssh: 10.77.0.99, connect_timeout: 1 s, "}, "it does not answer"),
-        ({f"h3: {{service: none, play_launch: {COMMAND}": "h3: {play_launch: OLD"}, "protocol 1"),
-        (
-            {f"h3: {{service: none, play_launch: {COMMAND}": "h3: {play_launch: /x"},
-            "as play_launch",
-        ),
-        ({"h3: {": "h3: {ssh: nowhere.invalid, "}, "is not known"),
-        ({"h3: {": "h3: {ssh: stranger@h3, "}, "does not let you in"),
-        ({"h3: {": "h3: {ssh: unknown_key, "}, "host key is unknown"),
-        (
-            {"lost_after: 1 s}\ncontainers": "setup: [/no/such/setup.bash]}\ncontainers"},
-            "setup.bash",
-        ),
-        ({"lost_after: 1 s}\ncontainers": "copy: [nothing]}\ncontainers"}, "/nothing"),
-    ],
-)
-def test_what_is_wrong_with_a_machine_is_said_before_anything_starts(
-    net: Hosts, tmp_path: Path, changes: dict[str, str], expected: str
-) -> None:
-    aliases = net.home / ".ssh/config"
-    if "unknown_key" not in aliases.read_text():
-        alias = "Host unknown_key\n  HostName 10.77.0.3\n  UserKnownHostsFile /dev/null\n"
-        aliases.write_text(aliases.read_text() + alias)
-    old = tmp_path / "old"
-    old.write_text("""#!/bin/sh\necho '{"valid": true, "protocol": 1}'\n""")
-    old.chmod(0o755)
-    config = system(tmp_path, "wrong")
-    text = config.read_text()
-    for before, after in changes.items():
-        assert before in text
-        text = text.replace(before, after.replace("OLD", str(old)))
-    config.write_text(text)
-    done = net.run("replay", str(config))
-    assert done.returncode == 1, done.stdout + done.stderr
-    assert "nothing was started\n" in done.stderr
-    assert "machine h3: " in done.stderr
-    assert expected in done.stderr
-    assert not supervisors(net, 2)
-
-
-def test_a_service_is_up_when_all_machines_are(
-    net: Hosts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    config = system(tmp_path, "serves", h3=", connect_timeout: 40 s")
-    net.set_link(3, "down")
-    with closing(Listening.in_folder(tmp_path)) as manager:
-        monkeypatch.setenv("NOTIFY_SOCKET", manager.address)
-        monkeypatch.setenv("WATCHDOG_USEC", "3000000")
-        started = running(net, config)
-        with started as serves:
-            # A machine that is booted later is waited for.
-            until(lambda: "h3: it does not answer" in serves.printed(), "the first attempt")
-            assert "READY=1" not in manager.hear_all()
-            net.set_link(3, "up")
-            manager.until("READY=1")
-            assert "WATCHDOG=1" in manager.said
-            assert serves.rows()["/listener"]["state"] == "loaded"
-            with config.open("a") as file:
-                file.write("  - {name: late, command: [sleep, '1000'], start_delay: 1 s}\n")
-            serves.ask("apply", str(config))
-            manager.until("RELOADING=1")
-            manager.until("READY=1")
-            manager.until("STATUS=3 of 3 machines running, 7 of 7 up")
-            serves.stop()
-        assert "STOPPING=1" in manager.hear_all() + manager.said
-    assert not supervisors(net, 3)
