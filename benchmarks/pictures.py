@@ -24,6 +24,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import yaml
 from rich.console import Console
 from rich.style import Style
 from rich.text import Text
@@ -32,6 +33,7 @@ from benchmarks.bring_up import COMMAND, ENVIRONMENT
 from benchmarks.browser import Browser, find_browser
 from benchmarks.report import pictures as report_pictures
 from benchmarks.running import running
+from play_launch.cli.demo import with_page
 from play_launch.cli.top.app import ScreenEnd, TopApp
 from play_launch.control.sessions import connect
 from tests.cli.web.server import serving
@@ -191,6 +193,34 @@ def web(folder: Path) -> None:
         browser.picture(folder / "web-unit.png")
 
 
+def graph(folder: Path) -> None:
+    """The page of `play-launch demo --web`: what does not connect, and how it came up."""
+    config = with_page()
+    del config["web"]  # served below
+    nodes = sum(len(each["composable_nodes"]) for each in config["containers"])
+    with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as opened:
+        place = Path(name)
+        (place / "demo.yaml").write_text(yaml.safe_dump(config))
+        run = opened.enter_context(running(place / "demo.yaml", place / "logs", nodes))
+        server = opened.enter_context(serving("--session", run.pid))
+        browser = opened.enter_context(Browser(_browser(), place / "profile"))
+        browser.size(*WEB_SIZE)
+        browser.call("Page.navigate", url=server.url)
+        browser.until("document.querySelectorAll('tbody tr').length > 5")
+        for panel, text in (("Connections", "reliab"), ("Topics", "as expected")):
+            browser.run(
+                "[...document.querySelectorAll('.q-expansion-item .q-item')]"
+                f".find((each) => each.innerText.includes('{panel}')).click()"
+            )
+            browser.until(f"document.body.innerText.includes('{text}')")
+        browser.run("document.querySelector('.q-table__container').remove()")
+        browser.picture(folder / "web-graph.png")
+        link = "[...document.querySelectorAll('a')].find((each) => each.innerText === 'Bring-up')"
+        browser.call("Page.navigate", url=browser.run(f"{link}.href"))
+        browser.until("document.documentElement.dataset.ready === 'yes'")
+        browser.picture(folder / "web-bring-up.png")
+
+
 def report(folder: Path) -> None:
     """The page of a recorded session, in light and in dark."""
     report_pictures(folder, _browser())
@@ -213,6 +243,7 @@ MAKERS: Mapping[str, Callable[[Path], None]] = {
     "top": top,
     "machines": machines,
     "web": web,
+    "graph": graph,
     "report": report,
 }
 

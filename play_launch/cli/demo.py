@@ -68,7 +68,7 @@ def demo(  # noqa: PLR0917 - options, by name
         if web:
             from play_launch.cli.replay import bring_up  # noqa: PLC0415
 
-            _write(config, _with_page())
+            _write(config, with_page())
             return bring_up(config, log_dir, seconds, quiet=quiet, as_json=as_json)
         words = [
             *(("--log-dir", str(log_dir.absolute())) if log_dir else ()),
@@ -106,7 +106,7 @@ def _write(path: Path, config: dict[str, Any]) -> None:
     path.write_text(yaml.safe_dump(config, sort_keys=False))
 
 
-def _with_page() -> dict[str, Any]:
+def with_page() -> dict[str, Any]:
     """Return the demo's configuration with a page, and what it finds.
 
     A node crashes, the QoS of two others does not match, and a topic is too slow.

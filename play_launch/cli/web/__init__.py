@@ -33,6 +33,8 @@ _LONGEST_MESSAGE: Final = 1_000_000
 """Bytes that a browser may send at once."""
 _CLOSING: Final = 2
 """Seconds for open requests at the end."""
+_AGAIN: Final = "2"
+"""Seconds until the report of a system that comes up is loaded again."""
 
 
 def web(  # noqa: PLR0917 - options, by name
@@ -269,10 +271,16 @@ async def _serve(
 
     @application.get("/report/{name}")
     async def report(name: str) -> Response:
+        watch.enter()
         try:
-            return Response(await commands.report(name), media_type="text/html")
+            text = await commands.report(name)
         except CommandError as error:
             return Response(f"{error}\n", status_code=503, media_type="text/plain")
+        finally:
+            watch.leave()
+        # A browser loads it again then, so that a bring-up moves.
+        headers = {"Refresh": _AGAIN} if watch.is_changing(name) else {}
+        return Response(text, 200, headers, "text/html")
 
     declare(watch, commands)
     ui.run_with(application, title="play-launch", dark=None, show_welcome_message=False)

@@ -18,7 +18,7 @@ from play_launch.cli.web.metrics import Scrape
 from play_launch.control.messages import UnitRow
 from play_launch.control.protocol import Code, OperationError
 from play_launch.control.sessions import NoSessionError, connect
-from play_launch.control.units import target_of
+from play_launch.control.units import Health, health, target_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -87,6 +87,11 @@ class Watch:
         if self._client is None:
             return "/sessions"
         return f"/report/{Path(self._client.hello.folder).name}#bring-up-card"
+
+    def is_changing(self, name: str) -> bool:
+        """Return whether units of the session are on their way, and its folder has that name."""
+        is_it = self._client is not None and Path(self._client.hello.folder).name == name
+        return is_it and any(health(row) is Health.CHANGING for row in self.rows)
 
     def enter(self) -> None:
         """A page is open."""

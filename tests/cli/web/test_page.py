@@ -7,6 +7,7 @@ import os
 import re
 import signal
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import axe_core_python
@@ -14,7 +15,7 @@ import psutil
 import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
-from benchmarks.browser import Browser, find_browser
+from benchmarks.browser import Browser, BrowserError, find_browser
 from tests.cli.web.server import Server, serving
 from tests.cli.web.test_access import answers
 from tests.support.replay import Replay, replaying, run
@@ -88,10 +89,10 @@ def unfold(browser: Browser, title: str) -> None:
     browser.run(f"{heads}.find((each) => each.innerText.includes('{title}')).click()")
 
 
-def visit(browser: Browser, server: Server) -> None:
+def visit(browser: Browser, server: Server, state: str = "loaded") -> None:
     until(lambda: answers(server), "the page")
     browser.call("Page.navigate", url=server.invitations[-1])
-    browser.until(f"({row_of('/talker')}).includes('loaded')")
+    browser.until(f"({row_of('/talker')}).includes('{state}')")
 
 
 def test_metrics_tell_the_states(session: Replay) -> None:
@@ -176,6 +177,29 @@ def test_how_the_system_came_up_is_a_click_away(session: Replay, browser: Browse
         assert "The last was /talker (loaded)" in shown
         place = "document.querySelector('#bring-up-card').getBoundingClientRect()"
         browser.until(f"{place}.top >= 0 && {place}.bottom <= innerHeight")
+
+
+@needs_browser
+def test_a_bring_up_moves_on_the_page(tmp_path: Path, browser: Browser) -> None:
+    slow = "plugin: play_launch_demo::SlowConstructor\n        parameters: {seconds: 8.0}"
+    config = tmp_path / "shown.yaml"
+    config.write_text(CONFIG.replace("plugin: play_launch_demo::Talker", slow))
+
+    def shows(text: str) -> bool:
+        with suppress(BrowserError):  # it is being loaded again
+            return bool(browser.run(f"document.body.innerText.includes('{text}')"))
+        return False
+
+    with (
+        replaying(config, tmp_path / "log") as replay,
+        serving("--session", replay.pid) as server,
+    ):
+        visit(browser, server, "loading")
+        page = f"report/{replay.bag.parent.resolve().name}"
+        browser.call("Page.navigate", url=f"{server.url}{page}")
+        until(lambda: shows("Never came up: /talker."), "its state")
+        until(lambda: shows("The last was /talker (loaded)"), "its end")
+        assert "refresh" not in server.get(f"/{page}")[1]
 
 
 @needs_browser

@@ -426,9 +426,12 @@ def test_it_fits_a_narrow_window(
     browser: Browser, page: Path, hostile_page: Path, name: str
 ) -> None:
     browser.open(page if name == "page" else hostile_page)
-    browser.size(700, 900)
-    browser.drawn()
-    assert browser.run("document.documentElement.scrollWidth <= innerWidth")
+    for width in (390, 700):
+        browser.size(width, 900)
+        browser.drawn()
+        assert browser.run("document.documentElement.scrollWidth <= innerWidth")
+        # How the system came up is drawn, too.
+        assert browser.run("document.querySelector('.stretch').offsetWidth >= 90")
     browser.press("n")
     assert browser.run("byId('failure').hidden") is False
     browser.size(1400, 900)
