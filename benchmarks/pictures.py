@@ -46,6 +46,7 @@ NODES = 7
 """Of the latter."""
 CRASHES = 9.0
 """Seconds in which some of them crash."""
+UNFOLDING = 1.0
 COLUMNS, LINES = 132, 40
 TOP_SIZE = 100, 28
 WEB_SIZE = 1000, 760
@@ -207,13 +208,14 @@ def graph(folder: Path) -> None:
         browser.size(*WEB_SIZE)
         browser.call("Page.navigate", url=server.url)
         browser.until("document.querySelectorAll('tbody tr').length > 5")
-        for panel, text in (("Connections", "reliab"), ("Topics", "as expected")):
+        for panel, text in (("Connections", "reliab"), ("Topics", "broken")):
             browser.run(
                 "[...document.querySelectorAll('.q-expansion-item .q-item')]"
                 f".find((each) => each.innerText.includes('{panel}')).click()"
             )
             browser.until(f"document.body.innerText.includes('{text}')")
         browser.run("document.querySelector('.q-table__container').remove()")
+        time.sleep(UNFOLDING)
         browser.picture(folder / "web-graph.png")
         link = "[...document.querySelectorAll('a')].find((each) => each.innerText === 'Bring-up')"
         browser.call("Page.navigate", url=browser.run(f"{link}.href"))
