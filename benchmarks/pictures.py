@@ -197,7 +197,7 @@ def web(folder: Path) -> None:
 def graph(folder: Path) -> None:
     """The page of `play-launch demo --web`: what does not connect, and how it came up."""
     config = with_page()
-    del config["web"]  # served below
+    del config["web"], config["duration"]  # it is served, and ended, below
     nodes = sum(len(each["composable_nodes"]) for each in config["containers"])
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as opened:
         place = Path(name)
