@@ -65,13 +65,8 @@ def check(  # noqa: PLR0917 - options, by name
         return ExitCode.USAGE
     if machine:
         loaded = part(loaded, machine)
-    notes = (
-        []
-        if machine
-        else discovery_problems(
-            loaded, {each.name: os.environ for each in loaded.machines.values() if each.local}
-        )
-    )
+    environs = {each.name: os.environ for each in loaded.machines.values() if each.local}
+    notes = [] if machine else discovery_problems(loaded, environs)
     started: list[dict[str, Any]] = []
     explained: dict[str, Any] = {}
     if explain:

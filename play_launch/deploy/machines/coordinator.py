@@ -234,23 +234,23 @@ class Coordinator:
 
     async def _check_discovery(self) -> None:
         """Warn of what keeps nodes of two machines from finding each other."""
-        used = set(used_machines(self.config))
-        parts = [part for part in self.parts.values() if part.name in used]
-        names = [part.name for part in parts]
+        names = [name for name in used_machines(self.config) if name in self.parts]
         multicast = self.config.discovery is DiscoveryBy.MULTICAST
         token = uuid4().hex
         reports: dict[str, Report] = {}
 
-        async def ask(part: Part) -> None:
-            others = [name for name in names if name != part.name]
+        async def ask(name: str) -> None:
+            others = [each for each in names if each != name]
             with contextlib.suppress(LinkLost):
-                found = await report_of(part, token, others, multicast=multicast)
+                found = await report_of(self.parts[name], token, others, multicast=multicast)
                 if found is not None:
-                    reports[part.name] = found
+                    reports[name] = found
 
+        if len(names) < 2:
+            return
         async with anyio.create_task_group() as tasks:
-            for part in parts:
-                tasks.start_soon(ask, part)
+            for name in names:
+                tasks.start_soon(ask, name)
         reports = {name: reports[name] for name in names if name in reports}
         environs = {name: report["variables"] for name, report in reports.items()}
         problems = discovery_problems(self.config, environs)

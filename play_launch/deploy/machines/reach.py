@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import logging
 import os
 import shlex
 import socket
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     """`variables`: names to values. `heard`: names of machines. `host`, `shared_memory`: the
     machine's network, and its /dev/shm, each the same text only where it is the same one."""
 
+_log = logging.getLogger(__name__)
 SECONDS = 3.0
 """After which what has not arrived does not arrive; without trouble it takes 0.2 s."""
 _START = 10.0
@@ -94,7 +96,7 @@ def _have_shared_memory(*both: Mapping[str, str]) -> bool:
 
 
 async def report_of(part: Part, token: str, others: list[str], *, multicast: bool) -> Report | None:
-    """Let a machine run `probe`; None where that fails, as it has no Python. Raises LinkLost."""
+    """Let a machine run `probe`; None where that fails, which is said. Raises LinkLost."""
     asked = {
         "token": token,
         "name": part.name,
@@ -110,6 +112,8 @@ async def report_of(part: Part, token: str, others: list[str], *, multicast: boo
     try:
         report: Report = json.loads(output.stdout)
     except ValueError:
+        text = "%s: its python3 does not tell whether its nodes find those of other machines: %s"
+        _log.warning(text, part.name, output.stderr or output.status)
         return None
     return report
 
@@ -128,7 +132,7 @@ def probe(
     variables = _of_discovery({**os.environ, **given})
     domain = variables.get("ROS_DOMAIN_ID", "")
     # A domain has 250 ports; DDS does not use this one.
-    port = 7400 + 250 * (int(domain) if domain.isdigit() and len(domain) < 4 else 0) + 9
+    port = 7400 + 250 * (int(domain) if domain.isdigit() and int(domain) < 233 else 0) + 9
     return {
         "variables": variables,
         "heard": sorted(_hear(port, token, name, others, seconds)),
@@ -161,7 +165,7 @@ def _hear(port: int, token: str, name: str, others: list[str], seconds: float) -
             until = time.monotonic() + _PERIOD
             while (limit := until - time.monotonic()) > 0:
                 link.settimeout(limit)
-                with contextlib.suppress(socket.timeout, ValueError, TypeError):
+                with contextlib.suppress(OSError, ValueError, TypeError):
                     said, sender, hears = json.loads(link.recv(65536))
                     if said == token and sender in others:
                         heard.add(sender)
