@@ -11,6 +11,7 @@ cut, a process counts and another ends again and again: all its lines and starts
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import statistics
@@ -21,8 +22,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import psutil
-
 from benchmarks.sampling import cpu_seconds
 from benchmarks.statistics import header, row
 from play_launch.deploy.machines.namespaces import missing
@@ -32,8 +31,8 @@ from tests.support.waiting import until
 HOSTS, NODES = 3, 10
 LOST_AFTER = 2
 """Seconds without an answer until a host is lost."""
-AT_REST = 50
-"""Percent of this machine's CPUs: discovery is over, the nodes that talk remain."""
+AT_REST = 0.5
+"""Seconds of CPU that all processes of the hosts take in one: discovery is over."""
 PROGRAM = Path(sys.executable).with_name("play-launch")
 
 
@@ -111,7 +110,7 @@ def measure(runs: int, cuts: int, cut: float, containers: int) -> dict[str, Any]
             [three], seconds = started(net, f"three{number}", {1: content})
             found["three_s"].append(seconds)
             _ask(three, HOSTS * containers * (NODES + 1) + 2, found["ps_s"])
-            until(lambda: psutil.cpu_percent(1) < AT_REST, "rest")
+            until(lambda: _cpu(net, 1.0) < AT_REST, "rest")
             _ask(three, HOSTS * containers * (NODES + 1) + 2, found["ps_at_rest_s"])
             if number == runs - 1:
                 _cut(net, three, cuts, cut, found)
@@ -132,6 +131,21 @@ def _count(numbers: list[int], first: int, found: list[int]) -> None:
     found[0] += len(numbers)
     wrong = set(range(first, max(numbers) + 1)) ^ set(numbers)
     found[1] += len(wrong) + len(numbers) - len(set(numbers))
+
+
+def _cpu(net: Hosts, seconds: float) -> float:
+    """Seconds of CPU that the processes of the hosts take meanwhile."""
+
+    def used() -> dict[int, float]:
+        found = {}
+        for pid in (pid for host in range(1, HOSTS + 1) for pid in net.pids(host)):
+            with contextlib.suppress(OSError):  # it has ended meanwhile
+                found[pid] = cpu_seconds(pid)
+        return found
+
+    before = used()
+    time.sleep(seconds)
+    return sum(now - before.get(pid, 0.0) for pid, now in used().items())
 
 
 def _ask(system: Running, count: int, seconds: list[float]) -> None:

@@ -99,14 +99,27 @@ def test_multicast_that_does_not_arrive_is_said_at_the_start(net: Hosts, tmp_pat
 
 
 @needs_hosts
-def test_variables_that_only_the_machine_knows_count(net: Hosts, tmp_path: Path) -> None:
+def test_what_differs_on_a_machine_is_warned_of(net: Hosts, tmp_path: Path) -> None:
+    older = tmp_path / "older"
+    change = """sed 's/"version": "[^"]*"/"version": "0.0.9"/'"""
+    older.write_text(
+        f'#!/bin/bash\nif [ "$1" = check ]; then {COMMAND} "$@" | {change}; '
+        f'else exec {COMMAND} "$@"; fi\n'
+    )
+    older.chmod(0o755)
     setup = tmp_path / "setup.bash"
     setup.write_text("export ROS_DOMAIN_ID=77\n")
     config = system(tmp_path, "domains", h3=f", setup: [{setup}]")
     lines = config.read_text().splitlines(keepends=True)
-    config.write_text("".join(each for each in lines if "ROS_DOMAIN_ID" not in each))
+    text = "".join(each for each in lines if "ROS_DOMAIN_ID" not in each)
+    ours = f"h3: {{service: none, play_launch: {COMMAND}"
+    assert ours in text
+    config.write_text(text.replace(ours, f"h3: {{service: none, play_launch: {older}"))
     with running(net, config) as domains:
-        assert "the machines have different ROS_DOMAIN_IDs" in domains.loaded().printed()
+        said = domains.loaded().printed()
+        assert "the machines have different ROS_DOMAIN_IDs" in said
+        assert "h3: its play-launch is 0.0.9, and this one " in said
+        assert "h2: its play-launch" not in said
         domains.stop()
 
 

@@ -6,6 +6,7 @@ import asyncio
 import hashlib
 import io
 import json
+import logging
 import os
 import shlex
 import tarfile
@@ -16,6 +17,7 @@ from play_launch.config.machines import PARTS, Service
 from play_launch.control.protocol import PROTOCOL
 from play_launch.deploy.machines.hosts import HostError
 from play_launch.deploy.unit import stop_seconds
+from play_launch.recording.facts import OURSELVES, package_version
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
     from play_launch.deploy.machines.hosts import Host
 
+_log = logging.getLogger(__name__)
 _ANY_HASH: Final = "?" * 16
 _KEPT: Final = 6
 """One more than the copies of a part that stay on its machine."""
@@ -230,6 +233,8 @@ async def require_fit(host: Host, bundle: Bundle) -> None:
             "install the same version"
         )
     machine = bundle.machine
+    if (version := found.get("version", "older")) != (ours := package_version(OURSELVES)):
+        _log.warning("%s: its play-launch is %s, and this one %s", machine.name, version, ours)
     if machine.service is Service.USER and not machine.local:
         await _require_user_service(host, machine.ssh or machine.name)
 
