@@ -72,6 +72,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.pop("ROS_LOCALHOST_ONLY", None)
+# With it, no write waits for one of another thread, which hides that others do.
+os.environ.pop("PYTHONUNBUFFERED", None)
 load_interfaces()
 # What a shell starts in the background, or nohup, ignores these, and so would all that the tests
 # start.

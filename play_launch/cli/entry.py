@@ -102,13 +102,16 @@ def _run() -> None:
     # Of what is imported and of a configuration nothing becomes garbage: collecting takes a
     # twentieth of the start. `app` and a run enable it again.
     gc.disable()
+    stdout = sys.stdout
     from play_launch.cli.app import main as run  # noqa: PLC0415 - after the lines above
 
     try:
         run()
     except SystemExit as end:
-        if isinstance(end.code, int) and len(sys.argv) > 1 and sys.argv[1] in _SHORT:
-            # Taking Python apart takes up to 30 ms, a fifth of a short command.
+        # Taking Python apart takes up to 30 ms, a fifth of a short command. It would wait for a
+        # stdout that was abandoned.
+        is_short = len(sys.argv) > 1 and sys.argv[1] in _SHORT
+        if isinstance(end.code, int) and (is_short or sys.stdout is not stdout):
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(end.code)

@@ -52,6 +52,15 @@ def redirect_to_devnull(stream: IO[str]) -> None:
         os.close(null)
 
 
+def abandon_stdout() -> None:
+    """Put the null device in the place of a stdout that takes nothing.
+
+    A thread that waits for it holds its lock: each other write, and Python's own flush at the end,
+    would wait as long.
+    """
+    sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123 - until the end
+
+
 def is_about_output(error: OSError) -> bool:
     """Whether a stream cannot be written: a full disk, a closed terminal."""
     return error.errno in _UNWRITABLE and error.filename is None

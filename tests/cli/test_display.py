@@ -47,7 +47,6 @@ class StubStyle(Style[ShownEvent]):
         self.gate = threading.Event()
         self.gate.set()
         self.entered = threading.Event()
-        self.closed = threading.Event()
 
     def show(self, batch: Sequence[ShownEvent], missed: int) -> float | None:
         if batch:
@@ -58,9 +57,6 @@ class StubStyle(Style[ShownEvent]):
         self.shown += [shown.event for shown in batch]
         self.missed += missed
         return None
-
-    def close(self) -> None:
-        self.closed.set()
 
 
 def test_a_blocked_terminal_blocks_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,19 +75,6 @@ def test_a_blocked_terminal_blocks_nothing_else(monkeypatch: pytest.MonkeyPatch)
     shower.close()
     assert len(style.shown) == 1 + 10 + 5
     assert style.missed == 90 + 5
-
-
-def test_the_end_does_not_wait_forever(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(display_module, "_CLOSE_TIMEOUT", 0.01)
-    style = StubStyle()
-    style.gate.clear()
-    shower = Display(style)
-    shower.publish(output("first"), EMPTY, EMPTY)
-    style.entered.wait()
-    shower.close()
-    assert not style.shown
-    style.gate.set()
-    style.closed.wait()
 
 
 def folded(*events: RunEvent) -> list[ShownEvent]:

@@ -65,19 +65,19 @@ def test_a_terminal_that_takes_nothing_holds_up_no_machine(net: Hosts, tmp_path:
     config.write_text(config.read_text().replace("echo tick $((i += 1))", "seq 1 5000"))
     command = net.play_launch("replay", str(config))
     reading, writing = os.pipe()
-    try:
-        unread = subprocess.Popen(
-            command, env=net.environment, stdin=subprocess.DEVNULL, stdout=writing
-        )
-        session = ("--session", str(unread.pid))
-        until(lambda: not select.select([], [writing], [], 0)[1], "a pipe that is full")
-        net.run("wait", "--timeout", "40s", *session, code=0)
-        net.run("restart", "listen", *session, code=0)
-        unread.send_signal(signal.SIGINT)
-        assert unread.wait(40) == 130
-    finally:
-        os.close(reading)
-        os.close(writing)
+    with subprocess.Popen(
+        command, env=net.environment, stdin=subprocess.DEVNULL, stdout=writing
+    ) as unread:
+        try:
+            session = ("--session", str(unread.pid))
+            until(lambda: not select.select([], [writing], [], 0)[1], "a pipe that is full")
+            net.run("wait", "--timeout", "40s", *session, code=0)
+            net.run("restart", "listen", *session, code=0)
+            unread.send_signal(signal.SIGINT)
+            assert unread.wait(40) == 130
+        finally:
+            os.close(reading)
+            os.close(writing)
     assert not supervisors(net, 3)
 
 

@@ -7,6 +7,7 @@ import json
 import os
 import pty
 import re
+import select
 import signal
 import struct
 import subprocess
@@ -22,6 +23,7 @@ from tests.support.mounts import mounted
 from tests.support.replay import COMMAND, recorded, run
 from tests.support.scenes import written
 from tests.support.stock import EXECUTABLE, PACKAGE, install
+from tests.support.waiting import until
 
 NOISE = "noise of a library"
 WORDS = f"stdout of a library: {NOISE}"
@@ -281,6 +283,25 @@ def test_a_run_whose_output_nobody_takes(
     assert (result.returncode, result.stderr) == (0, "")
     assert_recorded(tmp_path / "logs")
     assert lines(tmp_path / "logs") == [f"line {number + 1}" for number in range(LINES)]
+
+
+@pytest.mark.parametrize("arguments", [[], ["--json"]])
+def test_a_pipe_that_takes_nothing_does_not_hold_up_the_end(
+    tmp_path: Path, arguments: list[str]
+) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text(SHORT.replace(f"seq {LINES}", "seq 30000").replace("done", "done; sleep 60"))
+    command = [str(COMMAND), "replay", str(config), f"--log-dir={tmp_path}/logs", *arguments]
+    reading, writing = os.pipe()
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=writing) as unread:
+        try:
+            until(lambda: not select.select([], [writing], [], 0)[1], "a pipe that is full")
+            unread.send_signal(signal.SIGINT)
+            assert unread.wait(30) == 130
+        finally:
+            os.close(reading)
+            os.close(writing)
+    assert_recorded(tmp_path / "logs")
 
 
 @pytest.mark.parametrize(("controls", "duration"), [(True, "50 s"), (False, "3 s")])

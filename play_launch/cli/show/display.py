@@ -10,7 +10,7 @@ import threading
 import time
 from typing import IO, TYPE_CHECKING, Final, Generic, NamedTuple, TypeVar
 
-from play_launch.cli.output import counted, duration, redirect_to_devnull
+from play_launch.cli.output import abandon_stdout, counted, duration, redirect_to_devnull
 from play_launch.cli.show.lines import DisplayLine, format_lines, line_of, missed_line
 from play_launch.config.text import listed
 from play_launch.control.event_words import because, event_object
@@ -111,6 +111,8 @@ class Screen(Generic[_Item]):
         self._end.set()
         self._wake.set()
         self._thread.join(_CLOSE_TIMEOUT)
+        if self._thread.is_alive():
+            abandon_stdout()
 
     def _run(self) -> None:
         again: float | None = 0.0

@@ -188,11 +188,15 @@ def test_a_snapshot_writes_what_was_held(tmp_path: Path) -> None:
 
 
 def test_the_recorder_ends_with_a_supervisor_that_is_killed(tmp_path: Path) -> None:
+    from std_msgs.msg import String
+
     config = tmp_path / "run.yaml"
     config.write_text(RUN.replace("CRASH", "1000.0"), encoding="utf-8")
     with replaying(config, tmp_path / "log") as replay:
         loaded(replay)
         wait_for_the_recorder()
+        with Probe("listener") as probe:  # the last quarter of a second may be lost
+            probe.collect(String, "/chatter", 10)
         everything = replay.descendants()
         assert "topic_recorder" in {each.name() for each in everything}
         replay.process.kill()
