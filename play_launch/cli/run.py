@@ -195,6 +195,7 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
             opened.close()
             display.close()
             recording = session.recorder.close()
+            display.leave()
     _sum_up(outcome, recording, sink.used, options)
     return outcome.exit_code
 

@@ -91,7 +91,9 @@ def run_machines(
     manager: ServiceManager | None = None,
 ) -> int:
     """Bring the system up on its machines, keep it until its end, and return the exit code."""
+    screen = MachinesScreen(_Lines(as_json=as_json, quiet=quiet))
     with RunSignals() as signals, contextlib.ExitStack() as opened:
+        opened.callback(screen.leave)  # the last of all
         session = open_session(
             description, log_folder=log_folder or config.log_dir, record=config.record
         )
@@ -105,7 +107,6 @@ def run_machines(
             names = ", ".join(used_machines(config))
             recorded = f"recording to {session.folder}"
             say_live(f"{config.name}: {describe(config)} on {names}, {recorded}")
-        screen = MachinesScreen(_Lines(as_json=as_json, quiet=quiet))
         opened.callback(screen.close)
         coordinator = Coordinator(config, arguments, str(program()), screen.show, session.recorder)
         work = _until_the_end(

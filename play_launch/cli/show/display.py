@@ -46,6 +46,8 @@ _INTERVAL: Final = 0.05
 """Seconds between two writes."""
 _CLOSE_TIMEOUT: Final = 2.0
 """Seconds for the last events at the end of the run."""
+_LEAVE_TIMEOUT: Final = 5.0
+"""Seconds more for a stdout that takes nothing, when all is recorded."""
 
 
 class ShownEvent(NamedTuple):
@@ -111,6 +113,11 @@ class Screen(Generic[_Item]):
         self._end.set()
         self._wake.set()
         self._thread.join(_CLOSE_TIMEOUT)
+
+    def leave(self) -> None:
+        """Close it, once all else is done: a reader may come back, or stdout is given up."""
+        self.close()
+        self._thread.join(_LEAVE_TIMEOUT)
         if self._thread.is_alive():
             abandon_stdout()
 
