@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
-import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import anyio
+import psutil
 import pytest
 
-from play_launch.deploy.machines import reach
+from play_launch.config.machines import MachineConfig
+from play_launch.deploy.machines import hosts, reach
+from play_launch.deploy.machines.hosts import HostError, LinkLost, LocalHost
 from play_launch.deploy.machines.namespaces import missing
 from play_launch.deploy.machines.reach import reach_problems
 from tests.deploy.listening import Listening, closing
@@ -22,6 +26,8 @@ from tests.support.waiting import until
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from play_launch.deploy.machines.hosts import Host
 
 needs_hosts = pytest.mark.skipif(bool(missing()), reason=missing())
 
@@ -68,7 +74,7 @@ def test_what_keeps_nodes_from_finding_each_other(
         assert not reach_problems({"a": one, "b": other}, multicast=False)
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, for another /dev/shm")
+@needs_hosts
 def test_two_containers_of_one_computer_tell_that_they_are() -> None:
     asked = {"token": "", "name": "a", "others": [], "seconds": 0, "given": {"ROS_DOMAIN_ID": "x"}}
     command = [sys.executable, "-I", str(Path(reach.__file__)), json.dumps(asked)]
@@ -80,6 +86,29 @@ def test_two_containers_of_one_computer_tell_that_they_are() -> None:
     (found,) = reach_problems(reports | {"c": {**reports["c"], "host": "2"}}, multicast=False)
     assert found.startswith("a and b are one computer")
     assert not reach_problems({"a": reports["a"], "c": reports["c"]}, multicast=False)
+
+
+def test_a_command_that_is_not_waited_for_ends() -> None:
+    async def stop_amid() -> list[psutil.Process]:
+        with anyio.move_on_after(0.5):
+            await LocalHost().run("exec sleep 100")
+        return psutil.Process().children()
+
+    assert "sleep" not in {each.name() for each in asyncio.run(stop_amid())}
+
+
+def test_attempts_to_connect_grow(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[float] = []
+
+    async def connect(machine: MachineConfig) -> Host:
+        tried.append(machine.connect_timeout)
+        raise LinkLost("silence") if len(tried) < 4 else HostError("a person has to act")
+
+    monkeypatch.setattr(hosts, "connect", connect)
+    monkeypatch.setattr(hosts, "_PAUSE", 0.0)
+    with pytest.raises(HostError):
+        asyncio.run(hosts.connect_at_first(MachineConfig(name="boots", connect_timeout=600.0)))
+    assert tried == [10.0, 20.0, 40.0, 80.0]
 
 
 @needs_hosts

@@ -279,7 +279,7 @@ async def _serve(
         finally:
             watch.leave()
         # A browser loads it again then, so that a bring-up moves.
-        headers = {"Refresh": _AGAIN} if watch.is_changing(name) else {}
+        headers = {"Refresh": _AGAIN} if watch.comes_up(name) else {}
         return Response(text, 200, headers, "text/html")
 
     declare(watch, commands)

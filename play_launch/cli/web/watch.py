@@ -33,6 +33,8 @@ _LINGER: Final = 5.0
 """Seconds for which the connection is kept after the last page: it may just be loaded anew."""
 _SHOWN_SILENCE: Final = 2.0
 """Seconds without an answer that are reported."""
+_YOUNG: Final = 120_000_000_000
+"""Nanoseconds in which a session comes up; a unit may wait, or be restarted, for hours."""
 _HISTORY: Final = 60
 """Samples of the curve of a unit: a minute."""
 
@@ -88,10 +90,12 @@ class Watch:
             return "/sessions"
         return f"/report/{Path(self._client.hello.folder).name}#bring-up-card"
 
-    def is_changing(self, name: str) -> bool:
-        """Return whether units of the session are on their way, and its folder has that name."""
-        is_it = self._client is not None and Path(self._client.hello.folder).name == name
-        return is_it and any(health(row) is Health.CHANGING for row in self.rows)
+    def comes_up(self, name: str) -> bool:
+        """Return whether it is the session of that folder, is young, and units are on their way."""
+        if self._client is None or Path(self._client.hello.folder).name != name:
+            return False
+        is_young = time.time_ns() - self._client.hello.started_ns < _YOUNG
+        return is_young and any(health(row) is Health.CHANGING for row in self.rows)
 
     def enter(self) -> None:
         """A page is open."""

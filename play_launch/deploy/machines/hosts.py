@@ -217,9 +217,12 @@ class LocalHost:
             async with asyncio.timeout(limit):
                 stdout, stderr = await process.communicate(data)
         except TimeoutError:
-            process.kill()
-            await process.wait()
             return Output(124, "", f"it took longer than {limit:g} s")
+        finally:
+            if process.returncode is None:  # it took too long, or is not waited for
+                process.kill()
+                with anyio.CancelScope(shield=True):
+                    await process.wait()
         return _output(process.returncode or 0, stdout, stderr)
 
     async def get(self, folder: str, target: Path, arrived: Arrived) -> None:  # noqa: ARG002 - it takes no time

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 SECONDS = 3.0
-"""After which what has not arrived does not arrive; without trouble it takes 0.2 s."""
+"""After which what has not arrived does not arrive; without trouble it takes 0.3 s."""
 _START = 10.0
 """Seconds in which Python starts on a slow machine."""
 _PERIOD = 0.05

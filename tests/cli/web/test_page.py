@@ -6,9 +6,12 @@ import json
 import os
 import re
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
 import axe_core_python
 import psutil
@@ -16,10 +19,15 @@ import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
 from benchmarks.browser import Browser, BrowserError, find_browser
+from play_launch.cli.web.watch import Watch
+from tests.cli.top.rows import row
 from tests.cli.web.server import Server, serving
 from tests.cli.web.test_access import answers
 from tests.support.replay import Replay, replaying, run
 from tests.support.waiting import until
+
+if TYPE_CHECKING:
+    from play_launch.control.client import ControlClient
 
 PAGE = Path(__file__).parents[3] / "docs" / "web.md"
 BROWSER = find_browser()
@@ -200,6 +208,16 @@ def test_a_bring_up_moves_on_the_page(tmp_path: Path, browser: Browser) -> None:
         until(lambda: shows("Never came up: /talker."), "its state")
         until(lambda: shows("The last was /talker (loaded)"), "its end")
         assert "refresh" not in server.get(f"/{page}")[1]
+
+
+@pytest.mark.parametrize(("age", "expected"), [(1, True), (600, False)])
+def test_an_old_session_does_not_come_up(age: int, expected: bool) -> None:
+    watch = Watch(None)
+    watch.rows = [row("/talker", "backoff")]
+    hello = SimpleNamespace(folder="/log/one", started_ns=time.time_ns() - age * 1_000_000_000)
+    watch._client = cast("ControlClient", SimpleNamespace(hello=hello))
+    assert watch.comes_up("one") is expected
+    assert not watch.comes_up("another")
 
 
 @needs_browser
