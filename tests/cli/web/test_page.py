@@ -213,7 +213,7 @@ def test_a_bring_up_moves_on_the_page(tmp_path: Path, browser: Browser) -> None:
 @pytest.mark.parametrize(("age", "expected"), [(1, True), (600, False)])
 def test_an_old_session_does_not_come_up(age: int, expected: bool) -> None:
     watch = Watch(None)
-    watch.rows = [row("/talker", "backoff")]
+    watch.rows = [row("/talker", "starting")]
     hello = SimpleNamespace(folder="/log/one", started_ns=time.time_ns() - age * 1_000_000_000)
     watch._client = cast("ControlClient", SimpleNamespace(hello=hello))
     assert watch.comes_up("one") is expected
