@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from textwrap import shorten
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -11,6 +12,7 @@ from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import counted, duration, printable, say
+from play_launch.postmortem.diagnostics import level_name
 from play_launch.postmortem.findings import findings, is_wrong
 from play_launch.postmortem.frames import plain_function
 from play_launch.postmortem.known_causes import BY_NAME, known_by
@@ -21,6 +23,7 @@ from play_launch.postmortem.timeline import read_timeline
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from play_launch.postmortem.diagnostics import Diagnostics
     from play_launch.postmortem.findings import DeclaredPlace, Finding
     from play_launch.postmortem.parameters import Changed, ParametersOfALife
     from play_launch.postmortem.timeline import Timeline
@@ -72,6 +75,7 @@ def explain(file: options.Recording, as_json: options.Json = False) -> int:
                 }
                 for each in found
             ],
+            "diagnostics": _statuses(timeline.diagnostics),
         }
         say(msgspec.json.encode(values).decode())
     else:
@@ -226,4 +230,21 @@ def _summary(found: Sequence[Finding], timeline: Timeline) -> str:
     lasted = duration(max(0, reader.end - reader.begin))
     nothing = "Nothing in what can be read" if reader.damages else "Nothing"
     verdict = "" if found else f"{nothing} was wrong. "
-    return f"{verdict}Session {name}: {lasted}, {size}."
+    levels = Counter(each.level for each in timeline.diagnostics.statuses.values())
+    each = ", ".join(f"{levels[level]} {level_name(level)}" for level in sorted(levels))
+    return f"{verdict}Session {name}: {lasted}, {size}." + f" Diagnostics: {each}." * bool(each)
+
+
+def _statuses(diagnostics: Diagnostics) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": name,
+            "hardware_id": status.report["hardware_id"],
+            "level": level_name(status.level),
+            "message": status.changes[-1].message,
+            "since_ns": status.changes[-1].at_ns,
+            "seen_ns": status.seen_ns,
+            "values": {each["key"]: each["value"] for each in status.report["values"]},
+        }
+        for name, status in sorted(diagnostics.statuses.items())
+    ]

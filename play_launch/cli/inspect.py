@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections import deque
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 import msgspec
 import typer
@@ -19,13 +19,15 @@ from play_launch.cli.show.display import encode
 from play_launch.cli.show.lines import DisplayLine, line_of
 from play_launch.config.values import parse_duration
 from play_launch.control.event_words import event_object, names_of
+from play_launch.postmortem import diagnostics
 from play_launch.postmortem.bag_reader import BagReader
+from play_launch.postmortem.diagnostics import Diagnostics, level_name
 from play_launch.postmortem.events import UnreadableEventError
 from play_launch.postmortem.parameters import TOPICS as PARAMETER_TOPICS
 from play_launch.postmortem.parameters import Parameters, RecordedParameter, shortened
 from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
-from play_launch.recording.console_format import DEBUG, ERROR
+from play_launch.recording.console_format import DEBUG, ERROR, INFO, WARN
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 from play_launch.supervisor.view import SystemView
 
@@ -34,10 +36,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.postmortem.bag_reader import Message
+    from play_launch.postmortem.diagnostics import LevelChange
     from play_launch.supervisor.events import RunEvent
 
 _AROUND: Final = 5.0
 """Seconds on either side of a moment."""
+_LEVELS: Final = {diagnostics.OK: INFO, diagnostics.ERROR: ERROR}
 _TOPICS: Final = frozenset(topic.name for topic in topics.ALL_TOPICS)
 """Samples are no events to be read one by one."""
 
@@ -76,8 +80,9 @@ def inspect(  # noqa: PLR0917 - options, by name
 ) -> int:
     """Print the events of a recording: starts, loads, crashes, restarts, output and log.
 
-    Changes of parameters are included, and with --level debug all values of parameters that nodes
-    reported. Times are seconds after the start. --json prints one object a line, as replay --json.
+    Changes of parameters and of levels on /diagnostics are included, and with --level debug all
+    values of parameters that nodes reported. Times are seconds after the start. --json prints one
+    object a line, as replay --json.
 
     Damaged and unfinished recordings (.active) are read as far as possible; exits with 5 then, with
     2 if the file is not a recording.
@@ -85,27 +90,17 @@ def inspect(  # noqa: PLR0917 - options, by name
     least = options.LEVELS[level]
     if around is not None and (since, until) != (None, None):
         fail("--around cannot be combined with --since and --until")
-    session, parameters, view = PastSession(file), Parameters(), SystemView()
+    session = PastSession(file)
+    story = _Story(session)
     window: tuple[float, float] | None = None
     try:
-        for message in session.reader.messages(_TOPICS | PARAMETER_TOPICS):
+        for message in session.reader.messages(_TOPICS | PARAMETER_TOPICS | {diagnostics.TOPIC}):
             window = window or _window(session, since, until, around)
-            event = _event(message, session, parameters)
-            if event is None:
-                continue
-            line: DisplayLine | None
-            before = view
-            if not isinstance(event, RecordedParameter):
-                view = before.after(event)
-            is_shown = window[0] <= message.log_time <= window[1]
-            if is_shown and _concerns(event, node or ()):
-                if isinstance(event, RecordedParameter):
-                    line, values = _of_parameters(event, message.log_time)
-                else:
-                    line, values = _line(event, before, view), event_object(event)
-                seconds = (message.log_time - session.started_ns) / 1e9
-                for text in _texts(line, values, seconds, least, as_json=as_json):
-                    sys.stdout.write(f"{text}\n")
+            for each in story.take(message):
+                if window[0] <= each.at_ns <= window[1] and _concerns(each.names, node or ()):
+                    seconds = (each.at_ns - session.started_ns) / 1e9
+                    for text in _texts(each, seconds, least, as_json=as_json):
+                        sys.stdout.write(f"{text}\n")
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader has seen enough (`| head`); the rest of the file need not be read.
@@ -153,34 +148,69 @@ def _end(file: Path) -> int:
     return reader.end
 
 
-def _event(
-    message: Message, session: PastSession, parameters: Parameters
-) -> RunEvent | RecordedParameter | None:
-    if message.topic.name not in PARAMETER_TOPICS:
-        return session.event(message)
-    try:
-        return parameters.take(message) or None
-    except UnreadableEventError as error:
-        session.reader.damaged(str(error))
-        return None
+class _Told(NamedTuple):
+    """What is told of one event."""
+
+    at_ns: int
+    names: Sequence[str]
+    line: DisplayLine | None
+    values: dict[str, object]
 
 
-def _concerns(event: RunEvent | RecordedParameter, patterns: Sequence[str]) -> bool:
-    if not patterns:
-        return True
-    names = [event.node] if isinstance(event, RecordedParameter) else names_of(event)
-    return any(fnmatchcase(name, pattern) for name in names for pattern in patterns)
+class _Story:
+    """What the messages of a recording tell, one after the other."""
+
+    def __init__(self, session: PastSession) -> None:
+        self._session = session
+        self._parameters = Parameters()
+        self._diagnostics = Diagnostics(session.reader.attachments)
+        self._view = SystemView()
+
+    def take(self, message: Message) -> Iterator[_Told]:
+        at_ns, topic = message.log_time, message.topic.name
+        yield from map(_of_level, self._diagnostics.fell_silent(at_ns))
+        try:
+            if topic == diagnostics.TOPIC:
+                yield from map(_of_level, self._diagnostics.take(message))
+            elif topic not in PARAMETER_TOPICS:
+                yield from self._of_event(message)
+            elif said := self._parameters.take(message):
+                yield _Told(at_ns, [said.node], *_of_parameters(said, at_ns))
+        except UnreadableEventError as error:
+            self._session.reader.damaged(str(error))
+
+    def _of_event(self, message: Message) -> Iterator[_Told]:
+        event = self._session.event(message)
+        if event is not None:
+            before, self._view = self._view, self._view.after(event)
+            line = _line(event, before, self._view)
+            yield _Told(message.log_time, names_of(event), line, event_object(event))
 
 
-def _texts(
-    line: DisplayLine | None, values: dict[str, object], since: float, level: int, *, as_json: bool
-) -> Iterator[str]:
+def _concerns(names: Sequence[str], patterns: Sequence[str]) -> bool:
+    return not patterns or any(fnmatchcase(name, pattern) for name in names for pattern in patterns)
+
+
+def _texts(told: _Told, since: float, level: int, *, as_json: bool) -> Iterator[str]:
+    line = told.line
     if as_json:
         if line is None or line.level >= level:
-            yield encode(values)
+            yield encode(told.values)
     elif line is not None and line.level >= level:
         for text in line.text.split("\n"):
             yield f"{since:10.3f} [{line.source}] {printable(text)}"
+
+
+def _of_level(change: LevelChange) -> _Told:
+    text = f"{level_name(change.level)}: {change.message}" if change.message else ""
+    line = DisplayLine(
+        change.at_ns,
+        change.status,
+        text or level_name(change.level),
+        _LEVELS.get(change.level, WARN),
+    )
+    values = {"event": "diagnostics", "stamp_ns": change.at_ns, **msgspec.to_builtins(change)}
+    return _Told(change.at_ns, [change.status], line, values | {"level": level_name(change.level)})
 
 
 def _of_parameters(said: RecordedParameter, log_time: int) -> tuple[DisplayLine, dict[str, object]]:

@@ -233,7 +233,8 @@ class RecordConfig(Struct, frozen=True, kw_only=True):
     `sync` is the seconds after which what was recorded is forced to the disk; infinity is never.
     `topics` and `exclude` are names of topics and patterns, `budget` is bytes per second of each
     topic (None: any number). `topic_budgets` are names and patterns with such numbers of their own,
-    infinity is any number; the first that matches a topic holds.
+    infinity is any number; the first that matches a topic holds. `stale_after` is the seconds after
+    which a status on /diagnostics that is not reported counts as STALE.
     """
 
     sync: float = 1.0
@@ -247,6 +248,7 @@ class RecordConfig(Struct, frozen=True, kw_only=True):
     budget: int | None = None
     topic_budgets: tuple[tuple[str, float], ...] = ()
     before_crash: BeforeCrashConfig | None = None
+    stale_after: float = 30.0
 
 
 class ManagedConfig(Struct, frozen=True):

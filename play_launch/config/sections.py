@@ -95,9 +95,7 @@ class RotateSection(ConfigSection):
 
     size = optional(kinds.SIZE_OR_NEVER, "Size of the file, or never. By default 1 GB.", "500 MB")
     duration = optional(
-        kinds.POSITIVE_DURATION_OR_NEVER,
-        "Duration since it was begun, or never. By default 1 h.",
-        "24 h",
+        kinds.POSITIVE_DURATION_OR_NEVER, "Its duration, or never. By default 1 h.", "24 h"
     )
 
 
@@ -112,9 +110,7 @@ class SamplingSection(ConfigSection):
     """`record.sampling`: how often processes and the machine are measured."""
 
     period = optional(
-        kinds.SAMPLING_PERIOD,
-        "Duration from one sample to the next, at least 100 ms, or never. By default 1 s.",
-        "5 s",
+        kinds.SAMPLING_PERIOD, "Time between samples, from 100 ms, or never. By default 1 s.", "5 s"
     )
 
 
@@ -167,6 +163,11 @@ class RecordSection(ConfigSection):
         BeforeCrashSection,
         "What is kept in memory until something fails.",
         {"topics": ["/camera/*"], "seconds": "10 s"},
+    )
+    stale_after = optional(
+        kinds.POSITIVE_DURATION,
+        "Silence after which a status on /diagnostics counts as STALE. By default 30 s.",
+        "2min",
     )
 
 

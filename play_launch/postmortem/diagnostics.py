@@ -1,17 +1,25 @@
-"""The diagnostics of ROS in a recording: when a status was at an error, and which fell silent."""
+"""The diagnostics of ROS in a recording: the levels of each status, and which fell silent."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+import json
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct, field
 
 from play_launch.container.cdr.layout import CdrError, Layout
 from play_launch.postmortem.events import UnreadableEventError
+from play_launch.recording.topics import RESOLVED
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from mcap.records import Attachment
+
     from play_launch.postmortem.bag_reader import Message
 
+TOPIC: Final = "/diagnostics"
 TYPE: Final = "diagnostic_msgs/msg/DiagnosticArray"
 DIAGNOSTIC_ARRAY: Final = Layout(
     "stamp:t frame_id:s status:DiagnosticStatus[]",
@@ -25,18 +33,26 @@ LEVELS: Final = ("OK", "WARN", "ERROR", "STALE")
 OK, WARN, ERROR, STALE = range(4)
 OWN_PREFIX: Final = "play_launch: "
 """Begins the names of the statuses that `play-launch diagnostics` publishes of units."""
+_STALE_AFTER: Final = 30.0
+"""Of a recording that does not say it."""
+_LOOK: Final = 1_000_000_000
+"""Nanoseconds from one look for silence to the next."""
 _MOST_STATUSES: Final = 10_000
 _MOST_CHANGES: Final = 1_000
 """Of one status; further ones are counted."""
 
 
 class LevelChange(Struct, frozen=True):
-    """A status has another level than before."""
+    """A status has another level than before; its first level is a change, too."""
 
+    status: str
+    hardware: str
     at_ns: int
     """Log time."""
     level: int
     message: str
+    is_silence: bool = False
+    """It is STALE because nothing was reported for as long as the configuration allows."""
 
 
 class Status(Struct):
@@ -45,20 +61,34 @@ class Status(Struct):
     seen_ns: int = 0
     """Log time of its last report."""
     level: int = -1
-    hardware: str = ""
+    is_silent: bool = False
+    """It is STALE for that."""
+    report: dict[str, Any] = field(default_factory=dict)
+    """The last one, as `DIAGNOSTIC_ARRAY` has it."""
     changes: list[LevelChange] = field(default_factory=list)
-    """Its first level is one, too."""
     further_changes: int = 0
 
 
 class Diagnostics:
     """Takes the messages of `TYPE` one after the other; `statuses` is the result so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, attachments: Mapping[str, Attachment]) -> None:
         self.statuses: dict[str, Status] = {}
         """By name."""
+        self._attachments = attachments
+        """Of the head of the recording; they are read when the first status is there."""
+        self._look_ns = 0
 
-    def take(self, message: Message) -> None:
+    @cached_property
+    def stale_ns(self) -> int:
+        """Nanoseconds without a report after which a status is STALE, as the session had it."""
+        try:
+            record = json.loads(self._attachments[RESOLVED].data)["record"]
+            return int(record.get("stale_after", _STALE_AFTER) * 1e9)
+        except (KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError):
+            return int(_STALE_AFTER * 1e9)
+
+    def take(self, message: Message) -> list[LevelChange]:
         """Take a message; raises UnreadableEventError when it is not what it should be."""
         try:
             reports = DIAGNOSTIC_ARRAY.read(message.data)["status"]
@@ -66,19 +96,49 @@ class Diagnostics:
             reason = f"a message of {message.topic.name} cannot be read: {error}"
             raise UnreadableEventError(reason) from error
         at_ns = message.log_time
+        changes = self.fell_silent(at_ns)
         for report in reports:
-            if report["name"].startswith(OWN_PREFIX):
+            name = report["name"]
+            if name.startswith(OWN_PREFIX):
                 continue  # the states of units say the same
-            status = self.statuses.get(report["name"])
+            status = self.statuses.get(name)
             if status is None:
                 if len(self.statuses) >= _MOST_STATUSES:
                     continue
-                status = self.statuses[report["name"]] = Status(hardware=report["hardware_id"])
-            status.seen_ns = at_ns
-            if report["level"] == status.level:
-                continue
-            status.level = report["level"]
-            if len(status.changes) < _MOST_CHANGES:
-                status.changes.append(LevelChange(at_ns, status.level, report["message"]))
-            else:
-                status.further_changes += 1
+                status = self.statuses[name] = Status()
+            status.seen_ns, status.report = at_ns, report
+            if report["level"] != status.level or status.is_silent:
+                hardware, said = report["hardware_id"], report["message"]
+                change = LevelChange(name, hardware, at_ns, report["level"], said)
+                changes.append(_changed(status, change))
+        return changes
+
+    def fell_silent(self, now_ns: int, *, is_end: bool = False) -> list[LevelChange]:
+        """Find what was not reported any more, at most once a second or at the end."""
+        if not self.statuses or (now_ns < self._look_ns and not is_end):
+            return []
+        self._look_ns = now_ns + _LOOK
+        silent = [
+            (name, status)
+            for name, status in self.statuses.items()
+            if now_ns - status.seen_ns > self.stale_ns and not status.is_silent
+        ]
+        return [_changed(status, self._silence(name, status)) for name, status in silent]
+
+    def _silence(self, name: str, status: Status) -> LevelChange:
+        at_ns, hardware = status.seen_ns + self.stale_ns, status.report["hardware_id"]
+        said = f"it was not reported for {self.stale_ns / 1e9:g} s"
+        return LevelChange(name, hardware, at_ns, STALE, said, is_silence=True)
+
+
+def level_name(level: int) -> str:
+    return LEVELS[level] if level < len(LEVELS) else f"level {level}"
+
+
+def _changed(status: Status, change: LevelChange) -> LevelChange:
+    status.level, status.is_silent = change.level, change.is_silence
+    if len(status.changes) < _MOST_CHANGES:
+        status.changes.append(change)
+    else:
+        status.further_changes += 1
+    return change

@@ -91,7 +91,7 @@ class Timeline:
         self.groups: dict[str, GroupUse] = {}
         """By the keys of their units."""
         self.parameters = Parameters()
-        self.diagnostics = Diagnostics()
+        self.diagnostics = Diagnostics(self.session.reader.attachments)
         self.lines = LastLines()
         self.connections = Connections()
         self._version1 = Version1()
@@ -202,6 +202,7 @@ class Timeline:
     def end(self) -> None:
         """Finish: no message comes any more, and units that are down stay down."""
         self.lines.end()
+        self.diagnostics.fell_silent(self.session.reader.end, is_end=True)
         self.connections.end(self.session.reader.end)
         self.interruptions += self._version1.interruptions()
         for unit in self.units:

@@ -324,3 +324,20 @@ def test_the_files_of_a_session_are_recovered_in_place(tmp_path: Path) -> None:
     assert "every file is complete" in run("recover", folder).stdout
     assert "recovered in place" in run("recover", folder, "-o", tmp_path / "x").stderr
     assert run("info", folder).returncode == 0
+
+
+def test_inspect_tells_levels_on_diagnostics(tmp_path: Path) -> None:
+    scene = Scene()
+    for at, level in ((1, 0), (2, 0), (3, 2), (50, 2), (51, 1)):
+        scene.diagnostics(at, lidar=(level, "no data" if level == 2 else ""), gps=(0, "fix"))
+    done = run("inspect", scene.record(tmp_path / "session.mcap"), "--node", "lidar")
+    assert done.stdout.splitlines() == [
+        "     1.000 [lidar] OK",
+        "     3.000 [lidar] ERROR: no data",
+        "    33.000 [lidar] STALE: it was not reported for 30 s",
+        "    50.000 [lidar] ERROR: no data",
+        "    51.000 [lidar] WARN",
+    ]
+    found = run("inspect", tmp_path / "session.mcap", "--level", "error", "--json").stdout
+    (first, *_) = map(json.loads, found.splitlines())
+    assert (first["event"], first["status"], first["level"]) == ("diagnostics", "lidar", "ERROR")

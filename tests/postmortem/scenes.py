@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -85,6 +86,8 @@ class Scene:
     """Others, with their times."""
     has_codes: bool = True
     """Whether events have codes; those of the first version have sentences only."""
+    resolved: dict[str, Any] | None = None
+    """The configuration, as far as it matters."""
 
     def parameters(self, at: float, node: str, **values: Any) -> None:
         """What a node answered when it was asked."""
@@ -265,6 +268,9 @@ class Scene:
         """Write it; received when it happened."""
         writer = BagWriter(path)
         writer.metadata(METADATA_NAME, {"name": "made_up", "started_ns": str(START)})
+        if self.resolved is not None:
+            config = json.dumps(self.resolved).encode()
+            writer.attach(topics.RESOLVED, "application/json", config, time=START)
         channels: dict[Topic, int] = {}
         messages = self.messages + [
             (event.stamp_ns, recorded.topic, recorded.data)

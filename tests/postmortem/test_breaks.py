@@ -162,15 +162,15 @@ BREAKS: Final = {
         test_detect.test_what_the_kernel_kills_and_refuses_for_limits,
     ),
     "diagnostics_error": Break(
-        diagnostics._bad,
-        "change.level >= ERROR",
-        "change.level > ERROR",
+        diagnostics.detect,
+        "stay[0].level >= ERROR",
+        "stay[0].level > ERROR",
         test_detect.test_errors_in_diagnostics_and_silence,
     ),
     "diagnostics_silent": Break(
-        diagnostics.detect,
-        "silent_ns > _STALE_AFTER",
-        "silent_ns < 0",
+        diagnostics._silent,
+        "(end or end_ns)",
+        "end_ns",
         test_detect.test_errors_in_diagnostics_and_silence,
     ),
     "machine_lost": Break(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.cli.explain import details, headline
+from play_launch.postmortem.diagnostics import LEVELS
 from play_launch.postmortem.units import Downtime
 from play_launch.supervisor.events import (
     ContainerState,
@@ -113,7 +114,10 @@ def test_errors_in_diagnostics_and_silence(tmp_path: Path) -> None:
         scene.diagnostics(at, lidar=lidar, camera=camera)
         if at < 10:
             scene.diagnostics(at, gps=(0, "fix"))
-    lidar_bad, camera_stale, gps_silent = scene.story(tmp_path).findings
+        if not 10 <= at < 45:
+            scene.diagnostics(at, imu=(1, "drifts"))
+    story = scene.story(tmp_path)
+    lidar_bad, camera_stale, gps_silent, imu_silent = story.findings
     assert text_of(lidar_bad) == (
         "lidar was reported as ERROR 2 times, first at 5.000 s after the start.",
         "Cause: no data, for 3.0 s.",
@@ -124,8 +128,33 @@ def test_errors_in_diagnostics_and_silence(tmp_path: Path) -> None:
         "Cause: no frames, until the end.",
     )
     assert not camera_stale.is_failure
-    assert text_of(gps_silent)[0] == "gps was not reported any more after 9.000 s after the start."
+    assert text_of(gps_silent) == (
+        "gps fell silent at 9.000 s after the start.",
+        "Cause: no report of it for 50 s, until the end.",
+    )
     assert not gps_silent.is_failure
+    assert text_of(imu_silent) == (
+        "imu fell silent at 9.000 s after the start.",
+        "Cause: no report of it for 36 s.",
+    )
+    statuses = story.timeline.diagnostics.statuses
+    assert {name: LEVELS[each.level] for name, each in statuses.items()} == {
+        "lidar": "OK",
+        "camera": "STALE",
+        "gps": "STALE",
+        "imu": "WARN",
+    }
+
+
+@pytest.mark.parametrize(("given", "is_silent"), [(None, True), (20.0, True), (40.0, False)])
+def test_how_long_a_silence_may_be(tmp_path: Path, given: float | None, is_silent: bool) -> None:
+    scene = Scene()
+    if given is not None:
+        scene.resolved = {"record": {"stale_after": given}}
+    for at in (0, 35):
+        scene.diagnostics(at, gps=(0, "fix"))
+    found = scene.story(tmp_path).findings
+    assert [each.kind for each in found] == ["diagnostics_silent"] * is_silent
 
 
 def test_diagnostics_that_cannot_be_read_are_damage(tmp_path: Path) -> None:

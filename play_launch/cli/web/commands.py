@@ -68,6 +68,12 @@ class Commands:
         """Return what went wrong in a session so far, a text each; raises CommandError."""
         return (await self._run(["explain", "--", folder], {0, 1, _NOT_WHOLE})).split("\n\n")
 
+    async def diagnostics(self, folder: str) -> list[dict[str, Any]]:
+        """Return what nodes reported on /diagnostics so far, as `explain --json` has it."""
+        printed = await self._run(["explain", "--json", "--", folder], {0, 1, _NOT_WHOLE})
+        found: list[dict[str, Any]] = json.loads(printed)["diagnostics"]
+        return found
+
     async def check_graph(self) -> list[dict[str, Any]]:
         """Return the problems of the session's graph: kind, name, text; raises CommandError."""
         environment = await asyncio.to_thread(self._session_environment)

@@ -5,7 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, StateSetMetricFamily
-from prometheus_client.openmetrics.exposition import CONTENT_TYPE_LATEST, generate_latest
+from prometheus_client.openmetrics.exposition import (
+    ALLOWUTF8,
+    CONTENT_TYPE_LATEST,
+    generate_latest,
+)
 from prometheus_client.registry import CollectorRegistry
 
 from play_launch.control.units import Health, health, target_of
@@ -137,5 +141,6 @@ def exposition(scrape: Scrape) -> bytes:
     """Return the text of a scrape."""
     registry = CollectorRegistry(auto_describe=False)
     registry.register(_Families(scrape))
-    text: bytes = generate_latest(registry)  # type: ignore[no-untyped-call]
+    # All names are plain, so nothing is escaped; other ways to escape look at each character.
+    text: bytes = generate_latest(registry, ALLOWUTF8)  # type: ignore[no-untyped-call]
     return text

@@ -135,6 +135,7 @@ class _Page:
             self._table.add_slot(f"body-cell-{name}", template)
         self._table.on("open", self._open)
         _panel("Findings", "The recording is being read …", self._findings)
+        _panel("Diagnostics", "The recording is being read …", self._diagnostics)
         _panel("Connections", "Its ROS graph is being looked through …", self._unconnected)
         with ui.expansion("Topics", on_value_change=self._show_topics).classes("w-full"):
             self._topics = ui.grid(columns="auto auto auto 1fr").classes("gap-x-4")
@@ -190,6 +191,11 @@ class _Page:
     async def _findings(self) -> list[tuple[str, str]]:
         return [("", each) for each in await self._commands.explain(self._watch.folder)]
 
+    async def _diagnostics(self) -> list[tuple[str, str]]:
+        found = await self._commands.diagnostics(self._watch.folder)
+        found.sort(key=lambda each: each["level"] == "OK")
+        return [_status(each) for each in found] or [("", "no node reports any")]
+
     async def _unconnected(self) -> list[tuple[str, str]]:
         found = [(each["name"], each["text"]) for each in await self._commands.check_graph()]
         return found or [("", "everything connects")]
@@ -222,6 +228,14 @@ class _Page:
 
     def _closed(self) -> None:
         self._story = None
+
+
+def _status(reported: dict[str, Any]) -> tuple[str, str]:
+    hardware = f" ({reported['hardware_id']})" if reported["hardware_id"] else ""
+    said = f": {reported['message']}" if reported["message"] else ""
+    values = [f"{name}: {value}" for name, value in reported["values"].items()]
+    level = f"{reported['level']} since {clock(reported['since_ns'])}{said}"
+    return f"{reported['name']}{hardware}", "\n".join([level, *values])
 
 
 def _panel(title: str, waiting: str, ask: Callable[[], Awaitable[list[tuple[str, str]]]]) -> None:

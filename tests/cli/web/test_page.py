@@ -6,6 +6,7 @@ import json
 import os
 import re
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -23,6 +24,7 @@ from play_launch.cli.web.watch import Watch
 from tests.cli.top.rows import row
 from tests.cli.web.server import Server, serving
 from tests.cli.web.test_access import answers
+from tests.integration.test_incidents import MONITOR
 from tests.support.replay import Replay, replaying, run
 from tests.support.waiting import until
 
@@ -160,6 +162,27 @@ def test_the_connections_are_checked(session: Replay, browser: Browser) -> None:
             browser.until("document.body.innerText.includes('everything connects')")
         finally:
             run("daemon", "stop", code=0)
+
+
+@needs_browser
+def test_what_nodes_report_is_shown(tmp_path: Path, browser: Browser) -> None:
+    monitor, config = tmp_path / "monitor.py", tmp_path / "shown.yaml"
+    monitor.write_text(MONITOR)
+    command = json.dumps([sys.executable, str(monitor)])
+    config.write_text(f"{CONFIG}nodes:\n  - {{name: monitor, command: {command}}}\n")
+    with replaying(config, tmp_path / "log") as replay, serving("--session", replay.pid) as server:
+        replay.read_until(lambda event: "fine again" in event.get("text", ""), "its reports")
+
+        def values() -> dict[str, str]:
+            found = json.loads(run("explain", replay.bag.parent, "--json", code=5).stdout)
+            return {each["name"]: each["level"] for each in found["diagnostics"]}
+
+        until(lambda: values() == {"gps": "OK", "lidar: data": "OK"}, "them in the recording")
+        visit(browser, server)
+        unfold(browser, "Diagnostics")
+        browser.until("document.body.innerText.includes('lidar: data (front)')")
+        shown = browser.run("document.body.innerText")
+        assert re.search(r"OK since [\d:.]+: fine again\s+rate: 0.0", shown)
 
 
 @needs_browser
