@@ -55,11 +55,11 @@ class Server:
     def status(self, path: str = "/", **headers: str) -> int:
         return self.get(path, **headers)[0]
 
-    def socket(self, **headers: str) -> int:
+    def socket(self, path: str = SOCKET, **headers: str) -> int:
         """Open a WebSocket that stays open, and that is never read; the status."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
         self.open.append(connection)
-        connection.request("GET", SOCKET, headers={**UPGRADE, **headers})
+        connection.request("GET", path, headers={**UPGRADE, **headers})
         return connection.getresponse().status
 
 

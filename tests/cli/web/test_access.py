@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PrivateFormat
 from cryptography.x509.oid import NameOID
 
 from play_launch.cli.web.access import Access, Rules
-from tests.cli.web.server import Server, serving
+from tests.cli.web.server import SOCKET, Server, serving
 from tests.support.loopback_network import wrapped
 from tests.support.replay import COMMAND, run
 from tests.support.waiting import until
@@ -197,11 +197,25 @@ def test_other_addresses_demand_tokens() -> None:
 
 
 def test_there_are_limits() -> None:
-    with serving("--clients", "3") as server:
+    with serving() as server:
         until(lambda: answers(server), "the page")
-        assert [server.socket() for _ in range(4)] == [101, 101, 101, 403]
+        assert [server.socket() for _ in range(200)] == [101] * 20 + [403] * 180
+        assert server.status() == 200
         server.open.pop(0).close()
         until(lambda: server.socket() == 101, "a place that is free again")
+
+
+def test_a_page_that_is_never_read_loses_its_place() -> None:
+    with serving("--clients", "1") as server:
+        until(lambda: answers(server), "the page")
+        client = re.search(r"client_id\W+([\w-]+)", server.get()[2])
+        assert client is not None
+        page = f"&implicit_handshake=true&client_id={client[1]}&tab_id=t&document_id=d"
+        assert server.socket(f"{SOCKET}{page}") == 101
+        # Socket.IO's CONNECT in a frame: it is a page now, and would have to answer.
+        server.open[-1].sock.sendall(b"\x81\x82" + bytes(4) + b"40")
+        assert server.socket() == 403
+        until(lambda: server.socket() == 101, "its place")
 
 
 def test_a_flood_of_requests_is_refused() -> None:
