@@ -18,6 +18,7 @@ import shlex
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -54,6 +55,24 @@ ANSWER = 30.0
 """Seconds for samples and lines of the session."""
 SLOW = "waiting on /slow_starter … 2"
 """What the picture of a start is to show."""
+REPORTER = """
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+rclpy.init()
+node = rclpy.create_node("reporter")
+publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+statuses = [
+    DiagnosticStatus(level=level, name=name, message=text, hardware_id="front",
+                     values=[KeyValue(key=key, value=value)])
+    for level, name, text, key, value in [
+        (b"\\0", "camera: frames", "30 a second", "dropped", "0"),
+        (b"\\1", "lidar: temperature", "warm", "degrees", "61.5"),
+    ]
+]
+node.create_timer(0.5, lambda: publisher.publish(DiagnosticArray(status=statuses)))
+rclpy.spin(node)
+"""
+"""A node that reports what stands under Diagnostics."""
 STYLES = {"bold": "bold", "italics": "italic", "reverse": "reverse"}
 """Marks of a cell, and rich's words for them."""
 
@@ -198,6 +217,8 @@ def graph(folder: Path) -> None:
     """The page of `play-launch demo --web`: what does not connect, and how it came up."""
     config = with_page()
     del config["web"], config["duration"]  # it is served, and ended, below
+    reporter = {"name": "reporter", "command": [sys.executable, "-c", REPORTER]}
+    config["nodes"] = [*config.get("nodes", ()), reporter]
     nodes = sum(len(each["composable_nodes"]) for each in config["containers"])
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as opened:
         place = Path(name)
@@ -208,7 +229,12 @@ def graph(folder: Path) -> None:
         browser.size(*WEB_SIZE)
         browser.call("Page.navigate", url=server.url)
         browser.until("document.querySelectorAll('tbody tr').length > 5")
-        for panel, text in (("Connections", "reliab"), ("Topics", "broken")):
+        time.sleep(CRASHES)  # reports are recorded when the recorder of topics is there
+        for panel, text in (
+            ("Diagnostics", "warm"),
+            ("Connections", "reliab"),
+            ("Topics", "broken"),
+        ):
             browser.run(
                 "[...document.querySelectorAll('.q-expansion-item .q-item')]"
                 f".find((each) => each.innerText.includes('{panel}')).click()"

@@ -31,6 +31,7 @@ from tests.cli.web.server import Server, serving
 CONTAINERS, NODES = 12, 9
 SETTLED = 6.0
 """Seconds until what the start of a page takes is over."""
+SCRAPES = 100
 SEEN = """
 new Promise((done) => {
   const row = () => [...document.querySelectorAll('tbody tr')]
@@ -87,6 +88,16 @@ def costs(supervisor: int, server: Server, seconds: float) -> tuple[float, float
     return ours, page
 
 
+def scrapes(supervisor: int, server: Server) -> tuple[float, ...]:
+    """CPU milliseconds that a scrape of the metrics costs the supervisor and the server."""
+    pids = (supervisor, server.process.pid)
+    before = [cpu_seconds(pid) for pid in pids]
+    for _ in range(SCRAPES):
+        server.get("/metrics")
+    after = [cpu_seconds(pid) for pid in pids]
+    return tuple(1000 * (b - a) / SCRAPES for a, b in zip(before, after, strict=True))
+
+
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     program = find_browser()
     if program is None:
@@ -97,7 +108,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         config.write_text(configuration())
         run = opened.enter_context(running(config, place / "logs", CONTAINERS * NODES))
         server = opened.enter_context(serving("--session", run.pid))
-        found: dict[str, Any] = {"cpu": {}}
+        time.sleep(SETTLED)
+        found: dict[str, Any] = {"cpu": {}, "scrape_ms": scrapes(run.pid, server)}
         browsers: list[Browser] = []
         for viewers in sorted(options.viewers):
             while len(browsers) < viewers:
@@ -127,6 +139,8 @@ def main() -> None:
     print(header())
     times = sorted(found["crash_to_page"])
     print(f"crash to page: median {statistics.median(times):.2f} s, most {times[-1]:.2f} s")
+    supervisor, page = found["scrape_ms"]
+    print(f"a scrape of the metrics: supervisor {supervisor:.1f} ms, page {page:.1f} ms")
     for viewers, (supervisor, page) in found["cpu"].items():
         print(f"{viewers} viewers: supervisor {supervisor:.1f} %, page {page:.1f} %")
 
