@@ -152,8 +152,20 @@ class Access:
             return
         scope[RIGHT] = right
         self._clients += is_socket
+        has_left = False
+
+        async def heard() -> Message:
+            nonlocal has_left
+            message = await receive()
+            has_left |= message["type"] == "http.disconnect"
+            return message
+
         try:
-            await self._application(scope, receive, _with_security(send))
+            await self._application(scope, heard, _with_security(send))
+        except RuntimeError:
+            # Of a middleware, which misses the answer of a request that is cancelled for that.
+            if not has_left:
+                raise
         finally:
             self._clients -= is_socket
 

@@ -19,7 +19,7 @@ from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, Operation
 from play_launch.control.units import Health, health, health_counts, target_of
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Iterable
+    from collections.abc import Awaitable, Callable, Sequence
 
     from nicegui.events import GenericEventArguments, ValueChangeEventArguments
 
@@ -32,6 +32,8 @@ _REFRESH: Final = 0.5
 """Seconds between two looks for changes."""
 _ASK: Final = 2.0
 """Seconds between two looks at topics, while they are shown."""
+_EVERY: Final = 3
+"""Every how many samples of memory one is drawn; it changes slowly."""
 _MOST_ROWS: Final = 500
 _MOST_LINES: Final = 300
 """Lines of a log on the page."""
@@ -62,10 +64,10 @@ _STATE: Final = """
 <q-td :props="props"><q-badge :color="props.row.colour" text-color="white"
   :label="props.value" /></q-td>
 """
-_CPU: Final = """
+_CURVED: Final = """
 <q-td :props="props" class="no-wrap"><svg v-if="props.value" width="60" height="14"
   class="inline q-mr-xs" aria-hidden="true"><polyline fill="none" stroke="currentColor"
-  :points="props.row.curve" /></svg>{{ props.value }}</q-td>
+  :points="props.row.%s" /></svg>{{ props.value }}</q-td>
 """
 _LAST: Final = """
 <q-td :props="props"><div class="ellipsis" style="max-width: 40vw">{{ props.value }}</div></q-td>
@@ -130,7 +132,8 @@ class _Page:
             ).classes("w-40")
         self._table = ui.table(columns=_COLUMNS, rows=[], row_key="key").classes("w-full")
         self._table.props("dense flat")
-        slots = {"name": _NAME, "state": _STATE, "cpu": _CPU, "last": _LAST}
+        slots = {"name": _NAME, "state": _STATE, "last": _LAST}
+        slots |= {name: _CURVED % f"{name}_curve" for name in ("cpu", "memory")}
         for name, template in slots.items():
             self._table.add_slot(f"body-cell-{name}", template)
         self._table.on("open", self._open)
@@ -174,6 +177,7 @@ class _Page:
     def _cells(self, row: UnitRow) -> dict[str, Any]:
         target = target_of(row)
         machine = f"{row.machine} " if row.machine else ""
+        cpu, memory = zip(*self._watch.curves.get(target, ((0.0, 0.0),)), strict=True)
         return {
             "key": str(target),
             "name": f"{machine}{model.clean(row.name)}",
@@ -183,8 +187,9 @@ class _Page:
             "uptime": "" if row.uptime_s is None else duration(int(row.uptime_s * 1e9)),
             "restarts": row.restarts,
             "cpu": "" if row.cpu_percent is None else f"{row.cpu_percent:.1f}",
-            "curve": _curve(self._watch.cpu.get(target, ())),
+            "cpu_curve": _curve(cpu),
             "memory": "" if row.memory_bytes is None else size(row.memory_bytes),
+            "memory_curve": _curve(memory[::-_EVERY][::-1], _EVERY),
             "last": self._watch.last.last.get(target, "")[:200],
         }
 
@@ -420,12 +425,13 @@ def _line_class(level: int) -> str:
     return "text-red-9" if level >= model.LeastLevel.ERROR else ""
 
 
-def _curve(samples: Iterable[float]) -> str:
-    """Return points of an SVG polyline of 60 by 14, of a minute's CPU percentages.
+def _curve(values: Sequence[float], step: int = 1) -> str:
+    """Return points of an SVG polyline of 60 by 14, of a minute's samples; the largest is its top.
 
-    The largest is its top.
+    ``step`` is the seconds from one to the next.
     """
-    values = list(samples)
-    most = max([1.0, *values])
-    start = 60 - len(values)
-    return " ".join(f"{start + x},{13 - 12 * value / most:.1f}" for x, value in enumerate(values))
+    most = max(1.0, *values)
+    start = 60 - step * len(values)
+    return " ".join(
+        f"{start + step * x},{13 - 12 * value / most:.1f}" for x, value in enumerate(values)
+    )

@@ -57,7 +57,7 @@ class Watch:
         self.changes = 0
         self.lines: deque[tuple[int, model.LogLine]] = deque(maxlen=model.LINES_LIMIT)
         self.last = model.RowLines()
-        self.cpu: dict[Target, deque[float]] = {}
+        self.curves: dict[Target, deque[tuple[float, float]]] = {}
         self.missed = 0
         self._count = 0
         self._link: SessionLink | None = None
@@ -131,7 +131,7 @@ class Watch:
         self._client = client
         name = f"{client.hello.name} (pid {client.hello.pid})"
         if name != self.name:
-            self.rows, self.cpu, self.last = [], {}, model.RowLines()
+            self.rows, self.curves, self.last = [], {}, model.RowLines()
         # The session sends its last lines again.
         self.lines.clear()
         self.name = name
@@ -216,10 +216,10 @@ class Watch:
         self.rows = rows
         self.last.declare(rows)
         known = set(map(target_of, rows))
-        self.cpu = {target: curve for target, curve in self.cpu.items() if target in known}
+        self.curves = {target: curve for target, curve in self.curves.items() if target in known}
         for row in rows:
-            curve = self.cpu.setdefault(target_of(row), deque(maxlen=_HISTORY))
-            curve.append(row.cpu_percent or 0.0)
+            curve = self.curves.setdefault(target_of(row), deque(maxlen=_HISTORY))
+            curve.append((row.cpu_percent or 0.0, row.memory_bytes or 0.0))
         self.changes += 1
 
     def on_line(self, event: dict[str, Any]) -> None:

@@ -27,6 +27,10 @@ from tests.support.loopback_network import wrapped
 from tests.support.replay import COMMAND, run
 from tests.support.waiting import until
 
+HOSTS = frozenset({"robot"})
+RULES = Rules(hosts=HOSTS, tokens=None, allows_acting=False, clients=1, is_secure=False)
+SCOPE = {"type": "http", "headers": [(b"host", b"robot")], "path": "/", "server": ("", 80)}
+
 
 @pytest.fixture(scope="module")
 def free() -> Iterator[Server]:
@@ -218,6 +222,24 @@ def test_a_page_that_is_never_read_loses_its_place() -> None:
         until(lambda: server.socket() == 101, "its place")
 
 
+@pytest.mark.parametrize(("told", "is_error"), [("http.disconnect", False), ("http.request", True)])
+def test_a_visitor_that_leaves_is_no_error(told: str, is_error: bool) -> None:
+    async def page(scope: Any, receive: Any, send: Any) -> None:
+        del scope, send
+        await receive()
+        raise RuntimeError("No response returned.")  # as Starlette's middleware does then
+
+    async def receive() -> Any:
+        return {"type": told}
+
+    async def send(message: Any) -> None:
+        raise AssertionError(message)
+
+    visited = Access(page, RULES)(dict(SCOPE), receive, send)
+    with pytest.raises(RuntimeError) if is_error else contextlib.nullcontext():
+        asyncio.run(visited)
+
+
 def test_a_flood_of_requests_is_refused() -> None:
     seen: list[int] = []
 
@@ -232,14 +254,10 @@ def test_a_flood_of_requests_is_refused() -> None:
         if message["type"] == "http.response.start":
             seen.append(message["status"])
 
-    hosts = frozenset({"robot"})
-    rules = Rules(hosts=hosts, tokens=None, allows_acting=False, clients=1, is_secure=False)
-    scope = {"type": "http", "headers": [(b"host", b"robot")], "path": "/", "server": ("", 80)}
-
     async def flood() -> None:
-        access = Access(page, rules)
+        access = Access(page, RULES)
         for _ in range(2000):
-            await access(dict(scope), receive, send)
+            await access(dict(SCOPE), receive, send)
 
     asyncio.run(flood())
     assert set(seen[:600]) == {200}

@@ -247,6 +247,8 @@ def test_an_old_session_does_not_come_up(age: int, expected: bool) -> None:
 def test_a_crash_appears_and_a_click_reloads(session: Replay, browser: Browser) -> None:
     with serving("--session", session.pid, "--allow-control", count=2) as server:
         visit(browser, server)
+        curves = "each.querySelectorAll('polyline').length === 2"  # CPU and memory
+        browser.until(f"[...document.querySelectorAll('tbody tr')].some((each) => {curves})")
         os.kill(session.pids()["/talker"], signal.SIGSEGV)
         browser.until(f"/loaded\\s.*\\s1\\s/s.test({row_of('/talker')})")
         click(browser, "/talker")
