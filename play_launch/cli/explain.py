@@ -114,6 +114,9 @@ def details(finding: Finding) -> Iterator[str]:
         yield f"Cause: {cause}."
     if place := _place(finding.place):
         yield f"Place: {place}."
+    if finding.chain:
+        yield "Critical chain, from the end to the start:"
+        yield from (f"  {link}" for link in finding.chain)
     yield from (f"{problem[0].upper()}{problem[1:]}." for problem in finding.problems)
     known = BY_NAME.get(finding.known)
     if known is not None and known.fix:

@@ -163,7 +163,7 @@ class _Story:
     def __init__(self, session: PastSession) -> None:
         self._session = session
         self._parameters = Parameters()
-        self._diagnostics = Diagnostics(session.reader.attachments)
+        self._diagnostics = Diagnostics(session)
         self._view = SystemView()
 
     def take(self, message: Message) -> Iterator[_Told]:

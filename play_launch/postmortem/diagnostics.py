@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,14 +9,10 @@ from msgspec import Struct, field
 
 from play_launch.container.cdr.layout import CdrError, Layout
 from play_launch.postmortem.events import UnreadableEventError
-from play_launch.recording.topics import RESOLVED
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from mcap.records import Attachment
-
     from play_launch.postmortem.bag_reader import Message
+    from play_launch.postmortem.session import PastSession
 
 TOPIC: Final = "/diagnostics"
 TYPE: Final = "diagnostic_msgs/msg/DiagnosticArray"
@@ -72,20 +67,18 @@ class Status(Struct):
 class Diagnostics:
     """Takes the messages of `TYPE` one after the other; `statuses` is the result so far."""
 
-    def __init__(self, attachments: Mapping[str, Attachment]) -> None:
+    def __init__(self, session: PastSession) -> None:
         self.statuses: dict[str, Status] = {}
         """By name."""
-        self._attachments = attachments
-        """Of the head of the recording; they are read when the first status is there."""
+        self._session = session
         self._look_ns = 0
 
     @cached_property
     def stale_ns(self) -> int:
         """Nanoseconds without a report after which a status is STALE, as the session had it."""
         try:
-            record = json.loads(self._attachments[RESOLVED].data)["record"]
-            return int(record.get("stale_after", _STALE_AFTER) * 1e9)
-        except (KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError):
+            return int(self._session.resolved["record"]["stale_after"] * 1e9)
+        except (KeyError, ValueError, TypeError, OverflowError):
             return int(_STALE_AFTER * 1e9)
 
     def take(self, message: Message) -> list[LevelChange]:

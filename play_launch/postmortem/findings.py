@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pkgutil
 from importlib import import_module
 from pathlib import PurePath
@@ -17,12 +16,9 @@ from play_launch.postmortem.parameters import ParametersOfALife  # noqa: TC001 -
 from play_launch.postmortem.samples import Trend  # noqa: TC001 - as above
 from play_launch.postmortem.source_lines import Module, SourceLine  # noqa: TC001 - as above
 from play_launch.postmortem.units import Downtime  # noqa: TC001 - as above
-from play_launch.recording.topics import RESOLVED
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from mcap.records import Attachment
+    from collections.abc import Iterator, Sequence
 
     from play_launch.postmortem.timeline import Timeline
 
@@ -84,6 +80,8 @@ class Finding(Struct, frozen=True, kw_only=True):
     done: tuple[str, ...] = ()
     """What the supervisor did."""
     away: tuple[Downtime, ...] = ()
+    chain: tuple[str, ...] = ()
+    """What it waited for, unit by unit, back to the start."""
     problems: tuple[str, ...] = ()
     """Why something that one would expect to read here is not known."""
 
@@ -95,7 +93,7 @@ class Finding(Struct, frozen=True, kw_only=True):
 
 def findings(timeline: Timeline) -> tuple[Finding, ...]:
     """Give what was wrong in a session that was read to its end, the most important first."""
-    places = declared_places(timeline.session.reader.attachments)
+    places = declared_places(timeline.session.resolved)
     commands = {unit.key: unit.command for unit in timeline.units if unit.command}
     found = [
         replace(each, place=_place(each, places, commands))
@@ -132,12 +130,11 @@ def _place(
     )
 
 
-def declared_places(attachments: Mapping[str, Attachment]) -> dict[str, DeclaredPlace]:
+def declared_places(config: dict[str, Any]) -> dict[str, DeclaredPlace]:
     """Give the place of each declared thing, by its key; empty where it cannot be read."""
     try:
-        config = json.loads(attachments[RESOLVED].data)
         return dict(_places(config))
-    except (KeyError, ValueError, TypeError, AttributeError, RecursionError):
+    except (KeyError, ValueError, TypeError, AttributeError):
         return {}
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+import json
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.postmortem.events import UnreadableEventError, event_of
-from play_launch.recording.topics import METADATA_NAME
+from play_launch.recording.topics import METADATA_NAME, RESOLVED
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator
@@ -40,6 +42,18 @@ class PastSession:
         stamp = self.about.get("started_ns", "")
         is_number = stamp.isascii() and stamp.isdecimal() and len(stamp) < 20
         return (int(stamp) if is_number else 0) or self.reader.begin
+
+    @cached_property
+    def resolved(self) -> dict[str, Any]:
+        """The configuration as it was resolved; empty where it cannot be read.
+
+        It stands before the first message: it is asked for when there was one.
+        """
+        try:
+            found = json.loads(self.reader.attachments[RESOLVED].data)
+        except (KeyError, ValueError, RecursionError):
+            return {}
+        return found if isinstance(found, dict) else {}
 
     def events(self, topics: Container[str] | None = None) -> Iterator[RecordedEvent]:
         """Give the events of these topics (None: all) in the order in which they were received.

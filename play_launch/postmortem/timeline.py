@@ -41,6 +41,8 @@ from play_launch.supervisor.events import (
     GraphChanged,
     LogRecord,
     MachineChanged,
+    ManagedNodeChanged,
+    ManagedState,
     NodeState,
     NodeStateChanged,
     ProcessEvent,
@@ -91,7 +93,7 @@ class Timeline:
         self.groups: dict[str, GroupUse] = {}
         """By the keys of their units."""
         self.parameters = Parameters()
-        self.diagnostics = Diagnostics(self.session.reader.attachments)
+        self.diagnostics = Diagnostics(self.session)
         self.lines = LastLines()
         self.connections = Connections()
         self._version1 = Version1()
@@ -192,6 +194,10 @@ class Timeline:
                 self.machines.setdefault(event.machine, []).append(event)
             case ExpectationChanged():
                 self.expectations.setdefault(event.topic, []).append(event)
+            case ManagedNodeChanged(state=ManagedState.ACTIVE):
+                kind = SubjectKind.NODE if ":" in event.unit else SubjectKind.PROCESS
+                unit = self.unit(kind, event.unit)
+                unit.active_ns = unit.active_ns or at_ns
             case Withdrawn():
                 self.unit(event.kind, event.key).is_withdrawn = True
             case GraphChanged():
@@ -283,6 +289,9 @@ class Timeline:
             case ProcessEventKind.STARTED:
                 self._is_back(unit, event.stamp_ns)
                 unit.is_stopping = False
+                unit.begun_ns = unit.begun_ns or at_ns
+                if unit.kind is SubjectKind.PROCESS:
+                    unit.ready_ns = unit.begun_ns
                 unit.phase, unit.pid, unit.command = "running", event.pid, event.command
                 unit.since_ns = event.stamp_ns
             case ProcessEventKind.STOPPING if event.cause in _KILLED:

@@ -216,6 +216,8 @@ class Unit(Struct, kw_only=True):
     """What it waited for before it was started first, in the words of the recording."""
     loaded_ns: int = 0
     """When a node was loaded first."""
+    active_ns: int = 0
+    """Log time when a managed node was active first."""
 
     @property
     def is_known(self) -> bool:

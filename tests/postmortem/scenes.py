@@ -29,6 +29,8 @@ from play_launch.supervisor.events import (
     ContainerStateChanged,
     GraphChanged,
     GroupSample,
+    ManagedNodeChanged,
+    ManagedState,
     MemoryKind,
     NodeState,
     NodeStateChanged,
@@ -121,8 +123,15 @@ class Scene:
         fields = {"cause": Cause.NONE} | fields
         self.events.append(NodeStateChanged(stamp_ns=ns(at), key=key, state=state, **fields))
 
-    def container(self, at: float, state: ContainerState, name: str = "/box") -> None:
-        self.events.append(ContainerStateChanged(stamp_ns=ns(at), container=name, state=state))
+    def container(
+        self, at: float, state: ContainerState, name: str = "/box", reason: str = ""
+    ) -> None:
+        event = ContainerStateChanged(stamp_ns=ns(at), container=name, state=state, reason=reason)
+        self.events.append(event)
+
+    def managed(self, at: float, unit: str, state: ManagedState) -> None:
+        node = unit.rpartition(":")[2]
+        self.events.append(ManagedNodeChanged(stamp_ns=ns(at), unit=unit, node=node, state=state))
 
     def process(self, at: float, kind: ProcessEventKind, name: str = "/box", **fields: Any) -> None:
         has_failed = fields.get("signal") or fields.get("exit_code")

@@ -6,6 +6,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.text import duration
+from play_launch.postmortem.critical_chain import critical_chain
 from play_launch.postmortem.findings import DeclaredPlace, Finding
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind, SubjectKind
 
@@ -13,7 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from play_launch.postmortem.timeline import Timeline
-    from play_launch.postmortem.units import Unit
 
 _MISSING: Final = frozenset(
     {NodeState.PENDING, NodeState.REQUESTED, NodeState.LOADING, NodeState.LOST}
@@ -24,7 +24,6 @@ _LATER: Final = 5_000_000_000
 """Nanoseconds after all others, at least."""
 _FACTOR: Final = 2
 """Times as late as the median."""
-_BRIEF: Final = 50_000_000
 
 
 def detect(timeline: Timeline) -> Iterator[Finding]:
@@ -80,7 +79,8 @@ def _late(timeline: Timeline) -> Iterator[Finding]:
         return
     if last.arrival is not NodeState.LOADED:
         return
-    container = timeline.unit(SubjectKind.CONTAINER, last.container)
+    chain = critical_chain(timeline, last)
+    steps = [(step.ns, f"{link.name}: {step}") for link in chain for step in link.steps]
     yield Finding(
         kind="late_bring_up",
         rank=6,
@@ -89,23 +89,7 @@ def _late(timeline: Timeline) -> Iterator[Finding]:
         name=last.name,
         key=last.key,
         times_ns=(last.ready_ns,),
-        cause=", ".join(_chain(last, container, started)),
+        cause=max(steps, default=(0, ""))[1],
+        chain=tuple(link.text(started) for link in chain),
         place=DeclaredPlace(container=last.container),
     )
-
-
-def _chain(node: Unit, container: Unit, started: int) -> Iterator[str]:
-    """Give what the node waited for, one after the other, and how long."""
-    why = container.waited or node.waited
-    steps = (
-        (f"its container waited to be started{f' ({why})' if why else ''}", container.begun_ns),
-        ("its container was starting", container.ready_ns),
-        (f"its load waited{f' ({node.waited})' if node.waited else ''}", node.begun_ns),
-        ("the container accepted its load", node.constructing_ns),
-        ("its constructor ran", node.ready_ns),
-    )
-    since = started
-    for what, until in steps:
-        if until - since >= _BRIEF:
-            yield f"{what} for {duration(until - since)}"
-        since = max(since, until)

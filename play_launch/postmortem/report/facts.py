@@ -112,6 +112,8 @@ class Facts(Struct, frozen=True, kw_only=True):
     marks: tuple[Mark, ...]
     came_up: float | None
     arrivals: tuple[Arrival, ...]
+    chain: tuple[str, ...]
+    """What the first of them waited for, unit by unit, back to the start."""
     part: float
     """Of the rates, in milliseconds."""
     topics: tuple[TopicRate, ...]
@@ -157,6 +159,7 @@ def contents(
         marks=gathered.marks(),
         came_up=gathered.came_up(),
         arrivals=gathered.arrivals(),
+        chain=gathered.chain(),
         part=gathered.rates.width,
         topics=_topics(reader, gathered),
         parameters=_parameters(gathered.timeline.parameters, session.started_ns),

@@ -13,6 +13,7 @@ from msgspec import Struct
 
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import SYSTEM_STATS, read_log
+from play_launch.postmortem.critical_chain import critical_chain
 from play_launch.postmortem.records import LATEST, MESSAGE, RECORD, EqualReader, Runs, Taken
 from play_launch.postmortem.report.lines import Lines
 from play_launch.postmortem.report.page import shown
@@ -305,6 +306,13 @@ class Gathered:
         never = float("inf")
         every = sorted(self._arrivals(), key=lambda one: -(never if one.end is None else one.end))
         return tuple(every[:_ARRIVALS])
+
+    def chain(self) -> tuple[str, ...]:
+        """Give what the first of the arrivals waited for, unit by unit, back to the start."""
+        if not (arrivals := self.arrivals()):
+            return ()
+        links = critical_chain(self.timeline, self.timeline.units[arrivals[0].row])
+        return tuple(shown(link.text(self.started_ns)) for link in links)
 
     def _arrivals(self) -> list[Arrival]:
         return [

@@ -95,7 +95,8 @@ function showBringUp() {
   const missing = facts.arrivals.filter((each) => each.end === null);
   byId("bring-up-text").textContent = facts.came_up === null
     ? `Never came up: ${missing.map((each) => rowName(each.row)).join(", ")}.`
-    : `All nodes were there, or had failed, after ${span(facts.came_up)}. ${waitedFor(last)}`;
+    : `All nodes were there, or had failed, after ${span(facts.came_up)}. The last was ${rowName(last.row)} (${last.result}).`;
+  byId("chain").replaceChildren(...facts.chain.map((each) => make("li", { text: each, dir: "auto" })));
   const whole = Math.max(...facts.arrivals.map((each) => each.end ?? 0), 1);
   fillTable(byId("arrivals"), [["Node"], ["Container"], ["Result"], ["Constructor", "number"], ["There after", "number"], [""]],
     facts.arrivals.map((each) => [
@@ -119,7 +120,7 @@ function waitedFor(arrival) {
   if (starting !== null && running !== null) parts.push(`${span(starting)} until its container was started, ${span(running - starting)} until that was ready`);
   if (requested !== null && running !== null && requested - running > 50) parts.push(`${span(requested - running)} until it was its turn`);
   if (constructing !== null && end !== null) parts.push(`${span(end - constructing)} in its constructor`);
-  return `The last was ${rowName(arrival.row)} (${arrival.result}): ${parts.join(", ")}.`;
+  return `${rowName(arrival.row)} (${arrival.result}): ${parts.join(", ")}.`;
 }
 
 function stretch(arrival, whole) {
