@@ -208,9 +208,9 @@ def test_a_late_bring_up_with_its_critical_chain(
         at = "31.000 s after the start"
         assert what == f"/map in /box was loaded last, 27 s after all other nodes, {at}."
         assert cause == "Cause: /map: its constructor ran for 26 s."
-        loaded = "its load waited (waits for topic /tf) for 3.0 s, its constructor ran for 26 s"
+        waited = "its load waited (waits for topic /tf) for 3.0 s, its constructor ran for 26 s"
         assert finding.chain == (
-            f"/map, loaded after 31 s: {loaded}",
+            f"/map, loaded after 31 s: {waited}",
             "/box, started after 2.0 s: it was starting for 2.0 s",
         )
 
