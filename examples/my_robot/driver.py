@@ -1,3 +1,4 @@
+#!/usr/bin/env python3
 """A range finder that is not there, and that fails at times, as drivers do."""
 
 import math

@@ -1,3 +1,4 @@
+#!/usr/bin/env python3
 """A managed (lifecycle) node: the nearer an obstacle is, the slower it drives."""
 
 import rclpy

@@ -20,7 +20,9 @@ from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from std_msgs.msg import Float64, String
 
+from play_launch.config.load import load_config
 from tests.support.container import running_container
+from tests.support.launch import needs_launch
 from tests.support.replay import is_, replaying, run
 from tests.support.ros import LATCHED, Probe
 
@@ -349,6 +351,34 @@ def test_the_libraries_of_a_package_add_up_in_the_index(tmp_path: Path) -> None:
         assert (index / "packages" / "two_libraries").is_file()
 
 
+@needs_launch
+def test_the_launch_file_of_the_example_robot_says_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install = build(EXAMPLE, tmp_path)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join([str(install), sys.prefix]))
+    dumped = tmp_path / "dumped.yaml"
+    words = ["--container-type", "isolated", "-o", dumped]
+    run("dump", "my_robot", "robot.launch.py", *words, code=0)
+    made, meant = map(load_config, (dumped, EXAMPLE / "robot.yaml"))
+    for each, other in zip(
+        made.containers[0].composable_nodes, meant.containers[0].composable_nodes, strict=True
+    ):
+        assert (each.key, each.plugin, each.parameters) == (
+            other.key,
+            other.plugin,
+            other.parameters,
+        )
+    for one, two in zip(made.nodes, meant.nodes, strict=True):
+        assert (one.full_name, one.executable, one.on_exit) == (
+            two.full_name,
+            two.executable,
+            two.on_exit,
+        )
+        assert (one.parameters, one.on_exit) == (two.parameters, two.on_exit)
+    assert made.managed == meant.managed
+
+
 DRIVER_FAILED = is_(event="process", kind="exited", name="/driver", exit_code=1)
 
 
@@ -361,8 +391,10 @@ def test_the_example_robot_built_outside_the_tree_runs(
     paths = [str(install), *filter(None, [os.environ.get("AMENT_PREFIX_PATH")])]
     monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(paths))
     monkeypatch.chdir(source)
+    done = run("check", "two_computers.yaml", code=0).stdout
+    assert "  base: 1 process\n  head: 1 container with 2 nodes, 1 process" in done
     with (
-        replaying(source / "robot.yaml", tmp_path / "logs", "fails_after:=40") as replay,
+        replaying(source / "robot.yaml", tmp_path / "logs", "fails_after:=120") as replay,
         Probe() as probe,
     ):
         replay.read_until_up("/range_filter", "/battery", "/driver", "/planner")

@@ -201,11 +201,11 @@ def test_what_starts_later(tmp_path: Path) -> None:
 
 
 def test_containers_can_be_switched(tmp_path: Path) -> None:
-    def container(number: int, program: str) -> LaunchedProcess:
+    def container(number: int, program: tuple[str, str]) -> LaunchedProcess:
         return LaunchedProcess(
             kind=ProgramKind.CONTAINER,
-            package="rclcpp_components",
-            executable=program,
+            package=program[0],
+            executable=program[1],
             name=f"c{number}",
             remappings=[("a", "b")],
             parameters=[
@@ -213,7 +213,11 @@ def test_containers_can_be_switched(tmp_path: Path) -> None:
             ],
         )
 
-    programs = ("component_container", "component_container", "component_container_mt")
+    programs = (
+        ("rclcpp_components", "component_container"),
+        ("play_launch_container", "component_container"),
+        ("rclcpp_components", "component_container_mt"),
+    )
     units = [container(*pair) for pair in enumerate(programs)]
     found = {}
     for choice in Containers:

@@ -26,7 +26,8 @@ _TYPES: Final = {
     "component_container_mt": "mt",
     "component_container_isolated": "isolated",
 }
-"""The container types that do what these programs of rclcpp_components do."""
+"""The container types that do what these programs do."""
+_PACKAGES: Final = frozenset({"rclcpp_components", "play_launch_container"})
 _ISOLATED: Final = {"standard": "isolated", "mt": "isolated_mt", "isolated": "isolated"}
 _SEVERAL_THREADS: Final = "--use_multi_threaded_executor"
 _THREADS: Final = "thread_num"
@@ -61,7 +62,7 @@ class Members:
         entry = self._begin(unit)
         values = self._sources.values_of(unit, unit.parameters)
         arguments, for_ros = _parted(unit.arguments)
-        kind = _TYPES.get(unit.executable) if unit.package == "rclcpp_components" else None
+        kind = _TYPES.get(unit.executable) if unit.package in _PACKAGES else None
         if kind is None or self._options.containers is Containers.STOCK:
             if kind is None:
                 program = unit.executable or " ".join(unit.command)
