@@ -133,9 +133,10 @@ def _dependencies(timeline: Timeline, key: str) -> list[tuple[Condition, str]]:
     """Give the conditions about units of a unit's `depends_on`."""
     try:
         found = timeline.session.resolved["start_rules"][key]["dependencies"]
-        return [(Condition(each["condition"]), each["unit"]) for each in found if each["unit"]]
+        named = [(Condition(each["condition"]), each["unit"]) for each in found if each["unit"]]
     except (KeyError, TypeError, ValueError):
         return []
+    return [each for each in named if each[0] in _RESULTS]
 
 
 def _met_ns(unit: Unit, condition: Condition) -> int:

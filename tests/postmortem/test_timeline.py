@@ -12,7 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from play_launch.cli.explain import headline, paragraphs
+from play_launch.config.dependency import Condition
 from play_launch.container.cdr.messages import log_message
+from play_launch.postmortem.critical_chain import critical_chain
 from play_launch.postmortem.findings import Finding, is_wrong
 from play_launch.postmortem.known_causes import BY_NAME, known_cause
 from play_launch.postmortem.last_lines import MOST_LOGGERS, LastLines
@@ -207,11 +209,21 @@ def test_a_slow_constructor_with_how_long_it_took(scene: Scene, tmp_path: Path) 
 
 
 @settings(max_examples=60)
-@given(st.lists(EVENTS, max_size=15))
-def test_any_events_make_a_story(events: list[RunEvent]) -> None:
+@given(st.lists(EVENTS, max_size=15), st.data())
+def test_any_events_make_a_story(events: list[RunEvent], data: st.DataObject) -> None:
+    names = ("key", "container", "name", "unit")
+    keys = {str(getattr(event, name)) for event in events for name in names if hasattr(event, name)}
+    dependency = st.fixed_dictionaries(
+        {"condition": st.sampled_from([*Condition]), "unit": st.sampled_from(sorted(keys) or [""])}
+    )
+    rules = {key: {"dependencies": data.draw(st.lists(dependency, max_size=3))} for key in keys}
     with tempfile.TemporaryDirectory() as folder:
-        story = Scene(events).story(Path(folder))
+        story = Scene(events, resolved={"start_rules": rules}).story(Path(folder))
         lines = list(paragraphs(story.findings, story.timeline))
+        for unit in story.timeline.units:
+            chain = critical_chain(story.timeline, unit)
+            assert 1 <= len(chain) <= len(story.timeline.units)
+            assert all(step.ns > 0 for link in chain for step in link.steps)
     assert all(finding.times_ns for finding in story.findings)
     assert lines[-1].endswith(".")
     assert msgspec.json.encode(story.findings)
