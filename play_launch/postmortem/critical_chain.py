@@ -100,16 +100,17 @@ def _before(timeline: Timeline, unit: Unit) -> _Wait | None:
         return unmet
     met = [each for each in waits if each.until_ns and _is_before(each.until_ns, begun_ns)]
     latest = max(met, key=lambda each: each.until_ns, default=None)
-    if latest and begun_ns - latest.until_ns <= _BRIEF:
+    if unmet and (latest is None or begun_ns - latest.until_ns > _BRIEF):
+        latest = replace(unmet, until_ns=begun_ns)
+    start_ns = unit.constructing_ns or begun_ns
+    if latest and start_ns - latest.until_ns <= _BRIEF:
         return latest
-    if unmet:
-        return replace(unmet, until_ns=begun_ns)
     # Some containers load one node after the other.
     turn = [
         _Wait(each, Condition.LOADED, each.ready_ns)
         for each in timeline.units
         if unit.container and each.container == unit.container and each is not unit
-        if _is_before(each.ready_ns, begun_ns) and begun_ns - each.ready_ns <= _BRIEF
+        if each.ready_ns <= start_ns + _BRIEF and start_ns - each.ready_ns <= _BRIEF
     ]
     return turn[0] if turn else latest
 
@@ -158,7 +159,7 @@ def _steps(wait: _Wait, since_ns: int, until_ns: int) -> Iterator[Step]:
     if unit.kind is SubjectKind.NODE:
         stays = [
             (f"its load waited{why}", unit.begun_ns),
-            ("its container accepted the load", unit.constructing_ns or unit.begun_ns),
+            ("it waited for its turn", unit.constructing_ns or unit.begun_ns),
             ("its constructor ran" if unit.constructing_ns else "it was loading", unit.ready_ns),
         ]
     is_activation = wait.condition is Condition.ACTIVE

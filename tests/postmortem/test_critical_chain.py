@@ -93,3 +93,22 @@ def test_what_the_last_node_waited_for(tmp_path: Path) -> None:
 )
 def test_what_a_node_is_waiting_for(tmp_path: Path, at: float, expected: list[str]) -> None:
     assert chain(tmp_path, at=at) == expected
+
+
+def test_what_is_loaded_one_after_the_other(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.container(0, ContainerState.STARTING)
+    scene.container(1, ContainerState.RUNNING)
+    scene.node(1, "/one", NodeState.REQUESTED)
+    scene.node(1, "/two", NodeState.REQUESTED)
+    scene.node(1, "/one", NodeState.LOADING)
+    scene.node(4, "/one", NodeState.LOADED)
+    scene.node(4, "/two", NodeState.LOADING)
+    scene.node(6, "/two", NodeState.LOADED)
+    timeline = scene.story(tmp_path).timeline
+    found = critical_chain(timeline, next(unit for unit in timeline.units if unit.name == "/two"))
+    assert [link.text(ns(0)) for link in found] == [
+        "/two, loaded after 6.0 s: its constructor ran for 2.0 s",
+        "/one, loaded after 4.0 s: its constructor ran for 3.0 s",
+        "/box, started after 1.0 s: it was starting for 1.0 s",
+    ]
