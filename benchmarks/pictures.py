@@ -229,7 +229,6 @@ def graph(folder: Path) -> None:
         browser.size(*WEB_SIZE)
         browser.call("Page.navigate", url=server.url)
         browser.until("document.querySelectorAll('tbody tr').length > 5")
-        time.sleep(CRASHES)  # reports are recorded when the recorder of topics is there
         for panel, text in (
             ("Diagnostics", "warm"),
             ("Connections", "reliab"),

@@ -2,30 +2,47 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import socket
+import sys
 import threading
 import time
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import msgspec
+import typer
 
 from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.connection import connected, enter_environment_of, report_end
-from play_launch.cli.output import note
+from play_launch.cli.output import clock, fail, note, printable, redirect_to_devnull
 from play_launch.control.messages import UnitRow
 from play_launch.control.protocol import OperationError
 from play_launch.control.units import Health, health, target_of
-from play_launch.postmortem.diagnostics import ERROR, OK, OWN_PREFIX, STALE, WARN
+from play_launch.postmortem.diagnostics import (
+    ERROR,
+    OK,
+    OWN_PREFIX,
+    STALE,
+    WARN,
+    Diagnostics,
+    status_object,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
-    from diagnostic_msgs.msg import DiagnosticStatus
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+    from play_launch.control.client import ControlClient
+    from play_launch.postmortem.diagnostics import LevelChange
+    from play_launch.ros.node_services import NodeServices
 
 _START: Final = 60.0
 """Seconds until there is a session."""
+_ASK: Final = 1.0
+"""Seconds between two looks whether the session is there."""
 _LEVELS: Final = {
     Health.FAILED: ERROR,
     Health.CHANGING: WARN,
@@ -37,13 +54,22 @@ _UNREACHABLE: Final = "unreachable"
 
 def diagnostics(
     period: Annotated[float, options.time("Publish so often.", "--period", default="1s")] = 1.0,
+    listen: Annotated[
+        bool, typer.Option("--listen", help="Print what nodes report there instead.")
+    ] = False,
     session: options.Session = None,
+    as_json: options.Json = False,
 ) -> int:
     """Publish the states of all units on /diagnostics, until Ctrl-C or the end of the session.
 
     One status for each unit and each topic of which something is expected, for rqt_robot_monitor,
     Foxglove and the like. As a process of the configuration it comes and goes with the system.
+
+    With --listen, print each status that a node reports, and each change of its level; STALE is
+    what was not reported for 30 s. With --json, an object a line for each change of any kind.
     """
+    if as_json and not listen:
+        fail("--json: only with --listen")
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -53,8 +79,10 @@ def diagnostics(
 
         from play_launch.ros.node_services import NodeServices  # noqa: PLC0415 - slow
 
-        note(f"publishing the states of {client.hello.name} on /diagnostics")
         with NodeServices() as ros:
+            if listen:
+                return _listen(ros, client, stop, as_json=as_json)
+            note(f"publishing the states of {client.hello.name} on /diagnostics")
             publish = ros.publisher(DiagnosticArray, "/diagnostics")
             while not stop.wait(period):
                 try:
@@ -66,6 +94,61 @@ def diagnostics(
                 array.header.stamp = ros.now()
                 publish(array)
     return ExitCode.OK
+
+
+def _listen(
+    ros: NodeServices, client: ControlClient, stop: threading.Event, *, as_json: bool
+) -> int:
+    from diagnostic_msgs.msg import DiagnosticArray  # noqa: PLC0415 - slow
+
+    found, told = Diagnostics(None), dict[str, object]()
+
+    def lines(changes: list[LevelChange], names: Iterable[str]) -> Iterator[str]:
+        if not as_json:
+            yield from (printable(f"{clock(each.at_ns)} [{each.name}] {each}") for each in changes)
+            return
+        for name in dict.fromkeys([*(each.status for each in changes), *names]):
+            status = found.statuses.get(name)
+            if status is None:
+                continue
+            now = status_object(name, status)
+            if (values := now | {"seen_ns": 0}) != told.get(name):
+                told[name] = values
+                yield json.dumps(now)
+
+    def tell(changes: list[LevelChange], names: Iterable[str]) -> None:
+        try:
+            for line in lines(changes, names):
+                sys.stdout.write(f"{line}\n")
+            sys.stdout.flush()
+        except BrokenPipeError:
+            redirect_to_devnull(sys.stdout)
+            stop.set()
+
+    def take(array: DiagnosticArray) -> None:
+        reports = [_report(each) for each in array.status]
+        tell(found.report(time.time_ns(), reports), (each["name"] for each in reports))
+
+    ros.subscribe(DiagnosticArray, "/diagnostics", take)
+    while not stop.is_set():
+        ros.until(stop.is_set, time.monotonic() + _ASK)
+        tell(found.fell_silent(time.time_ns()), ())
+        try:
+            client.ask("system")
+        except OperationError as error:
+            return report_end(client.hello, str(error))
+    return ExitCode.OK
+
+
+def _report(status: DiagnosticStatus) -> dict[str, Any]:
+    values = [{"key": each.key, "value": each.value} for each in status.values]
+    return {
+        "level": status.level[0],
+        "name": status.name,
+        "message": status.message,
+        "hardware_id": status.hardware_id,
+        "values": values,
+    }
 
 
 def _of_unit(row: UnitRow) -> DiagnosticStatus:

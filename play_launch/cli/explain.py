@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
@@ -12,7 +12,7 @@ from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import counted, duration, printable, say
-from play_launch.postmortem.diagnostics import level_name
+from play_launch.postmortem.diagnostics import level_name, status_object
 from play_launch.postmortem.findings import findings, is_wrong
 from play_launch.postmortem.frames import plain_function
 from play_launch.postmortem.known_causes import BY_NAME, known_by
@@ -23,7 +23,6 @@ from play_launch.postmortem.timeline import read_timeline
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from play_launch.postmortem.diagnostics import Diagnostics
     from play_launch.postmortem.findings import DeclaredPlace, Finding
     from play_launch.postmortem.parameters import Changed, ParametersOfALife
     from play_launch.postmortem.timeline import Timeline
@@ -75,7 +74,9 @@ def explain(file: options.Recording, as_json: options.Json = False) -> int:
                 }
                 for each in found
             ],
-            "diagnostics": _statuses(timeline.diagnostics),
+            "diagnostics": [
+                status_object(*each) for each in sorted(timeline.diagnostics.statuses.items())
+            ],
         }
         say(msgspec.json.encode(values).decode())
     else:
@@ -236,18 +237,3 @@ def _summary(found: Sequence[Finding], timeline: Timeline) -> str:
     levels = Counter(each.level for each in timeline.diagnostics.statuses.values())
     each = ", ".join(f"{levels[level]} {level_name(level)}" for level in sorted(levels))
     return f"{verdict}Session {name}: {lasted}, {size}." + f" Diagnostics: {each}." * bool(each)
-
-
-def _statuses(diagnostics: Diagnostics) -> list[dict[str, Any]]:
-    return [
-        {
-            "name": name,
-            "hardware_id": status.report["hardware_id"],
-            "level": level_name(status.level),
-            "message": status.changes[-1].message,
-            "since_ns": status.changes[-1].at_ns,
-            "seen_ns": status.seen_ns,
-            "values": {each["key"]: each["value"] for each in status.report["values"]},
-        }
-        for name, status in sorted(diagnostics.statuses.items())
-    ]

@@ -202,13 +202,8 @@ def _texts(told: _Told, since: float, level: int, *, as_json: bool) -> Iterator[
 
 
 def _of_level(change: LevelChange) -> _Told:
-    text = f"{level_name(change.level)}: {change.message}" if change.message else ""
-    line = DisplayLine(
-        change.at_ns,
-        change.status,
-        text or level_name(change.level),
-        _LEVELS.get(change.level, WARN),
-    )
+    level = _LEVELS.get(change.level, WARN)
+    line = DisplayLine(change.at_ns, change.status, str(change), level)
     values = {"event": "diagnostics", "stamp_ns": change.at_ns, **msgspec.to_builtins(change)}
     return _Told(change.at_ns, [change.status], line, values | {"level": level_name(change.level)})
 

@@ -49,6 +49,14 @@ class LevelChange(Struct, frozen=True):
     is_silence: bool = False
     """It is STALE because nothing was reported for as long as the configuration allows."""
 
+    def __str__(self) -> str:
+        return f"{level_name(self.level)}{f': {self.message}' if self.message else ''}"
+
+    @property
+    def name(self) -> str:
+        """The status with its hardware."""
+        return f"{self.status} ({self.hardware})" if self.hardware else self.status
+
 
 class Status(Struct):
     """One status, by its name."""
@@ -67,7 +75,8 @@ class Status(Struct):
 class Diagnostics:
     """Takes the messages of `TYPE` one after the other; `statuses` is the result so far."""
 
-    def __init__(self, session: PastSession) -> None:
+    def __init__(self, session: PastSession | None) -> None:
+        """Take what was recorded of a session; None: what is reported now."""
         self.statuses: dict[str, Status] = {}
         """By name."""
         self._session = session
@@ -77,7 +86,8 @@ class Diagnostics:
     def stale_ns(self) -> int:
         """Nanoseconds without a report after which a status is STALE, as the session had it."""
         try:
-            return int(self._session.resolved["record"]["stale_after"] * 1e9)
+            resolved = self._session.resolved if self._session else {}
+            return int(resolved["record"]["stale_after"] * 1e9)
         except (KeyError, ValueError, TypeError, OverflowError):
             return int(_STALE_AFTER * 1e9)
 
@@ -88,7 +98,10 @@ class Diagnostics:
         except (CdrError, ValueError) as error:
             reason = f"a message of {message.topic.name} cannot be read: {error}"
             raise UnreadableEventError(reason) from error
-        at_ns = message.log_time
+        return self.report(message.log_time, reports)
+
+    def report(self, at_ns: int, reports: list[dict[str, Any]]) -> list[LevelChange]:
+        """Take what was reported at that time, each as `DIAGNOSTIC_ARRAY` has it."""
         changes = self.fell_silent(at_ns)
         for report in reports:
             name = report["name"]
@@ -122,6 +135,20 @@ class Diagnostics:
         at_ns, hardware = status.seen_ns + self.stale_ns, status.report["hardware_id"]
         said = f"it was not reported for {self.stale_ns / 1e9:g} s"
         return LevelChange(name, hardware, at_ns, STALE, said, is_silence=True)
+
+
+def status_object(name: str, status: Status) -> dict[str, Any]:
+    """Give a status as plain values: its level, since when, and its last report."""
+    latest = status.changes[-1]
+    return {
+        "name": name,
+        "hardware_id": status.report["hardware_id"],
+        "level": level_name(status.level),
+        "message": latest.message if status.is_silent else status.report["message"],
+        "since_ns": latest.at_ns,
+        "seen_ns": status.seen_ns,
+        "values": {each["key"]: each["value"] for each in status.report["values"]},
+    }
 
 
 def level_name(level: int) -> str:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _SLICE: Final = 0.1
+_DEPTH: Final = 100
+"""Messages of a topic that wait to be taken."""
 """Seconds of one wait for ROS."""
 
 
@@ -67,7 +69,7 @@ class NodeServices:
 
     def subscribe(self, kind: Any, topic: str, take: Callable[[Any], None]) -> None:
         """Hand over each message of that type, while `until` runs."""
-        self._node.create_subscription(kind, topic, take, 10)
+        self._node.create_subscription(kind, topic, take, _DEPTH)
 
     def now(self) -> Any:
         """Return the time as ``builtin_interfaces/Time``."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -114,3 +116,30 @@ def test_a_wait_demands_the_diagnostics_of_others(tmp_path: Path) -> None:
         replay.ask("wait", "--diagnostics", code=2)
         repaired.touch()
         replay.ask(*ready, code=0)
+
+
+def test_what_nodes_report_can_be_followed(tmp_path: Path) -> None:
+    script, repaired = tmp_path / "monitor.py", tmp_path / "repaired"
+    script.write_text(MONITOR)
+    command = [sys.executable, str(script), str(repaired)]
+    config = written(tmp_path, nodes=[{"name": "monitor", "command": command}])
+    with replaying(config, tmp_path / "logs") as replay:
+        words = [str(COMMAND), "diagnostics", "--listen", "--session", str(replay.pid)]
+        pipes: Any = {"stdout": subprocess.PIPE, "text": True}
+        with (
+            subprocess.Popen(words, **pipes) as text,
+            subprocess.Popen([*words, "--json"], **pipes) as values,
+        ):
+            assert text.stdout is not None
+            assert values.stdout is not None
+            assert text.stdout.readline().endswith(" [lidar: data] ERROR: no data\n")
+            assert json.loads(values.stdout.readline())["level"] == "ERROR"
+            repaired.touch()
+            assert text.stdout.readline().endswith(" [lidar: data] OK: fine\n")
+            assert json.loads(values.stdout.readline())["message"] == "fine"
+            text.send_signal(signal.SIGINT)
+            assert text.wait(20) == 0
+            replay.process.send_signal(signal.SIGINT)
+            assert values.wait(20) == 0
+        replay.read_all()
+    run("diagnostics", "--json", code=2)

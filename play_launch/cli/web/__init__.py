@@ -298,7 +298,8 @@ async def _serve(
     config.load()
     config.ssl = tls
     async with asyncio.TaskGroup() as tasks:
-        watching = tasks.create_task(watch.run())
+        running = [tasks.create_task(each.run()) for each in (watch, commands)]
         await uvicorn.Server(config).serve(sockets=[listener])
-        watching.cancel()
+        for each in running:
+            each.cancel()
     return 0

@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 import tempfile
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,6 +24,11 @@ if TYPE_CHECKING:
 
 _MOST_SESSIONS: Final = 100
 _LONGEST: Final = 120.0
+_LISTENS: Final = 5.0
+"""Seconds for which it listens after the last question."""
+_AGAIN: Final = 5.0
+"""Seconds until it listens again after it could not."""
+_LONGEST_STATUS: Final = 1_000_000
 _NOT_WHOLE: Final = 5
 """Exit code for a recording that is damaged or still written; there is a page all the same."""
 
@@ -39,6 +45,13 @@ class Commands:
         self._turn = asyncio.Lock()
         self._folder: Path | None = None
         """Log folder of the last session that was asked."""
+        self._asked = asyncio.Event()
+        self._asked_at = 0.0
+        self._listens_to = ""
+        self._statuses: dict[str, dict[str, Any]] = {}
+        """By name."""
+        self._deaf = ""
+        """Why nothing is heard."""
 
     async def sessions(self) -> list[SessionEntry]:
         """Return the last sessions of the log folder, the newest first."""
@@ -68,11 +81,57 @@ class Commands:
         """Return what went wrong in a session so far, a text each; raises CommandError."""
         return (await self._run(["explain", "--", folder], {0, 1, _NOT_WHOLE})).split("\n\n")
 
-    async def diagnostics(self, folder: str) -> list[dict[str, Any]]:
-        """Return what nodes reported on /diagnostics so far, as `explain --json` has it."""
-        printed = await self._run(["explain", "--json", "--", folder], {0, 1, _NOT_WHOLE})
-        found: list[dict[str, Any]] = json.loads(printed)["diagnostics"]
-        return found
+    def diagnostics(self, folder: str) -> list[dict[str, Any]]:
+        """Return what nodes report on /diagnostics by now, as `diagnostics --listen` prints it.
+
+        `run` listens from the first question on; raises CommandError when it cannot.
+        """
+        self._asked_at, self._listens_to = time.monotonic(), folder
+        self._asked.set()
+        if self._deaf:
+            raise CommandError(self._deaf)
+        return list(self._statuses.values())
+
+    async def run(self) -> None:
+        """Listen while that is asked for, until cancelled."""
+        while True:
+            await self._asked.wait()
+            self._statuses.clear()
+            try:
+                await self._listen()
+            except (OSError, ValueError) as error:
+                self._deaf = str(error)
+            self._asked.clear()
+            await asyncio.sleep(_AGAIN)
+
+    async def _listen(self) -> None:
+        words = ("diagnostics", "--listen", "--json", "--session", self._listens_to)
+        child = await asyncio.create_subprocess_exec(
+            *(program(), *words),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+            limit=_LONGEST_STATUS,
+        )
+        assert child.stdout is not None
+        assert child.stderr is not None
+        self._deaf = ""
+        try:
+            while time.monotonic() - self._asked_at < _LISTENS:
+                try:
+                    async with asyncio.timeout(1.0):
+                        line = await child.stdout.readline()
+                except TimeoutError:
+                    continue
+                if not line:
+                    self._deaf = (await child.stderr.read()).decode(errors="replace").strip()
+                    return
+                status = json.loads(line)
+                self._statuses[status["name"]] = status
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                child.terminate()
+            await child.wait()
 
     async def check_graph(self) -> list[dict[str, Any]]:
         """Return the problems of the session's graph: kind, name, text; raises CommandError."""

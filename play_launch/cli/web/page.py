@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 _REFRESH: Final = 0.5
 """Seconds between two looks for changes."""
-_ASK: Final = 2.0
-"""Seconds between two looks at topics, while they are shown."""
+_ASK: Final = 1.0
+"""Seconds between two looks at diagnostics and topics, while they are shown."""
 _EVERY: Final = 3
 """Every how many samples of memory one is drawn; it changes slowly."""
 _MOST_ROWS: Final = 500
@@ -138,11 +138,9 @@ class _Page:
             self._table.add_slot(f"body-cell-{name}", template)
         self._table.on("open", self._open)
         _panel("Findings", "The recording is being read …", self._findings)
-        _panel("Diagnostics", "The recording is being read …", self._diagnostics)
+        _live("Diagnostics", "auto auto 1fr", self._diagnostics)
         _panel("Connections", "Its ROS graph is being looked through …", self._unconnected)
-        with ui.expansion("Topics", on_value_change=self._show_topics).classes("w-full"):
-            self._topics = ui.grid(columns="auto auto auto 1fr").classes("gap-x-4")
-        self._asking = ui.timer(_ASK, self._draw_topics, active=False)
+        _live("Topics", "auto auto auto 1fr", self._topics)
         ui.label("Log").classes("text-h6")
         self._log = _Log(watch)
         ui.timer(_REFRESH, self._refresh)
@@ -196,30 +194,19 @@ class _Page:
     async def _findings(self) -> list[tuple[str, str]]:
         return [("", each) for each in await self._commands.explain(self._watch.folder)]
 
-    async def _diagnostics(self) -> list[tuple[str, str]]:
-        found = await self._commands.diagnostics(self._watch.folder)
-        found.sort(key=lambda each: each["level"] == "OK")
-        return [_status(each) for each in found] or [("", "no node reports any")]
+    async def _diagnostics(self) -> list[tuple[str, ...]]:
+        found = self._commands.diagnostics(self._watch.folder)
+        found.sort(key=lambda each: (each["level"] == "OK", each["name"]))
+        return [_status(each) for each in found] or [("nothing so far", "", "")]
 
     async def _unconnected(self) -> list[tuple[str, str]]:
         found = [(each["name"], each["text"]) for each in await self._commands.check_graph()]
         return found or [("", "everything connects")]
 
-    async def _show_topics(self, event: ValueChangeEventArguments[bool]) -> None:
-        self._asking.active = event.value
-        if event.value:
-            await self._draw_topics()
-
-    async def _draw_topics(self) -> None:
-        try:
-            rows = [expect.cells(row) for row in await self._watch.expectations()]
-        except OperationError as error:
-            rows = [(str(error), "", "", "")]
-        self._topics.clear()
-        with self._topics:
-            for row in rows or [("nothing is expected of topics", "", "", "")]:
-                for text in (*row[:3], row[-1]):
-                    ui.label(model.clean(text)).style("overflow-wrap: anywhere")
+    async def _topics(self) -> list[tuple[str, ...]]:
+        rows = map(expect.cells, await self._watch.expectations())
+        nothing = ("nothing is expected of topics", "", "", "")
+        return [(*row[:3], row[-1]) for row in rows] or [nothing]
 
     async def _open(self, event: GenericEventArguments) -> None:
         row = next((row for row in self._watch.rows if str(target_of(row)) == event.args), None)
@@ -235,12 +222,38 @@ class _Page:
         self._story = None
 
 
-def _status(reported: dict[str, Any]) -> tuple[str, str]:
+def _status(reported: dict[str, Any]) -> tuple[str, ...]:
     hardware = f" ({reported['hardware_id']})" if reported["hardware_id"] else ""
-    said = f": {reported['message']}" if reported["message"] else ""
-    values = [f"{name}: {value}" for name, value in reported["values"].items()]
-    level = f"{reported['level']} since {clock(reported['since_ns'])}{said}"
-    return f"{reported['name']}{hardware}", "\n".join([level, *values])
+    said = f"{reported['level']}: {reported['message']}".removesuffix(": ")
+    values = ", ".join(f"{name}: {value}" for name, value in reported["values"].items())
+    return f"{reported['name']}{hardware}", said, values
+
+
+def _live(title: str, columns: str, ask: Callable[[], Awaitable[list[tuple[str, ...]]]]) -> None:
+    """Add rows of texts that are asked for again and again while they are shown."""
+    drawn: list[tuple[str, ...]] = []
+
+    async def draw() -> None:
+        try:
+            rows = await ask()
+        except (CommandError, OperationError) as error:
+            rows = [(str(error), *[""] * columns.count(" "))]
+        if rows == drawn:
+            return
+        drawn[:] = rows
+        grid.clear()
+        with grid:
+            for text in (text for row in rows for text in row):
+                ui.label(model.clean(text)).style(_TEXT)
+
+    async def show(event: ValueChangeEventArguments[bool]) -> None:
+        asking.active = event.value
+        if event.value:
+            await draw()
+
+    with ui.expansion(title, on_value_change=show).classes("w-full"):
+        grid = ui.grid(columns=columns).classes("gap-x-4")
+    asking = ui.timer(_ASK, draw, active=False)
 
 
 def _panel(title: str, waiting: str, ask: Callable[[], Awaitable[list[tuple[str, str]]]]) -> None:

@@ -34,7 +34,7 @@ def _bad(bad: Sequence[tuple[LevelChange, int | None]]) -> Finding:
         rank=5,
         is_failure=any(change.level == ERROR for change, _ in bad),
         says=f"was reported as {level_name(first.level)} {{when}}",
-        name=_named(first),
+        name=first.name,
         times_ns=tuple(change.at_ns for change, _ in bad),
         cause=f"{first.message or 'no message'}, {lasted}",
         place=DeclaredPlace(),
@@ -52,11 +52,7 @@ def _silent(silent: Sequence[tuple[LevelChange, int | None]], timeline: Timeline
         rank=7,
         is_failure=False,
         says="fell silent {when}",
-        name=_named(silent[0][0]),
+        name=silent[0][0].name,
         times_ns=tuple(begins),
         cause=f"no report of it for {duration(longest)}{most}{last}",
     )
-
-
-def _named(change: LevelChange) -> str:
-    return f"{change.status} ({change.hardware})" if change.hardware else change.status

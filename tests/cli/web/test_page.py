@@ -24,7 +24,7 @@ from play_launch.cli.web.watch import Watch
 from tests.cli.top.rows import row
 from tests.cli.web.server import Server, serving
 from tests.cli.web.test_access import answers
-from tests.integration.test_incidents import MONITOR
+from tests.integration.test_own_diagnostics import MONITOR
 from tests.support.replay import Replay, replaying, run
 from tests.support.waiting import until
 
@@ -166,23 +166,22 @@ def test_the_connections_are_checked(session: Replay, browser: Browser) -> None:
 
 @needs_browser
 def test_what_nodes_report_is_shown(tmp_path: Path, browser: Browser) -> None:
-    monitor, config = tmp_path / "monitor.py", tmp_path / "shown.yaml"
-    monitor.write_text(MONITOR)
-    command = json.dumps([sys.executable, str(monitor)])
+    script, repaired = tmp_path / "monitor.py", tmp_path / "repaired"
+    script.write_text(MONITOR)
+    command = json.dumps([sys.executable, str(script), str(repaired)])
+    config = tmp_path / "shown.yaml"
     config.write_text(f"{CONFIG}nodes:\n  - {{name: monitor, command: {command}}}\n")
     with replaying(config, tmp_path / "log") as replay, serving("--session", replay.pid) as server:
-        replay.read_until(lambda event: "fine again" in event.get("text", ""), "its reports")
-
-        def values() -> dict[str, str]:
-            found = json.loads(run("explain", replay.bag.parent, "--json", code=5).stdout)
-            return {each["name"]: each["level"] for each in found["diagnostics"]}
-
-        until(lambda: values() == {"gps": "OK", "lidar: data": "OK"}, "them in the recording")
         visit(browser, server)
         unfold(browser, "Diagnostics")
-        browser.until("document.body.innerText.includes('lidar: data (front)')")
-        shown = browser.run("document.body.innerText")
-        assert re.search(r"OK since [\d:.]+: fine again\s+rate: 0.0", shown)
+        browser.until("/lidar: data\\s+ERROR: no data/.test(document.body.innerText)")
+        repaired.touch()
+        browser.until("/lidar: data\\s+OK: fine/.test(document.body.innerText)")
+        children = psutil.Process(server.process.pid).children()
+        (listener,) = (each for each in children if "--listen" in each.cmdline())
+        browser.call("Page.navigate", url="about:blank")
+        psutil.wait_procs([listener], 40)
+        assert not listener.is_running()
 
 
 @needs_browser
