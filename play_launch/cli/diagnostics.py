@@ -140,6 +140,14 @@ def _listen(
     return ExitCode.OK
 
 
+def cells(status: dict[str, Any]) -> tuple[str, ...]:
+    """Give the texts of a status that is printed as JSON: name, level with message, values."""
+    hardware = f" ({status['hardware_id']})" if status["hardware_id"] else ""
+    said = f"{status['level']}: {status['message']}".removesuffix(": ")
+    values = ", ".join(f"{name}: {value}" for name, value in status["values"].items())
+    return f"{status['name']}{hardware}", said, values
+
+
 def _report(status: DiagnosticStatus) -> dict[str, Any]:
     values = [{"key": each.key, "value": each.value} for each in status.values]
     return {

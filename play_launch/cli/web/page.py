@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from fastapi import Request  # noqa: TC002 - FastAPI reads the annotation of the page's function
 from nicegui import ui
 
-from play_launch.cli import expect
+from play_launch.cli import diagnostics, expect
 from play_launch.cli.output import clock, duration, size
 from play_launch.cli.status import fields
 from play_launch.cli.top import model
@@ -197,7 +197,7 @@ class _Page:
     async def _diagnostics(self) -> list[tuple[str, ...]]:
         found = self._commands.diagnostics(self._watch.folder)
         found.sort(key=lambda each: (each["level"] == "OK", each["name"]))
-        return [_status(each) for each in found] or [("nothing so far", "", "")]
+        return list(map(diagnostics.cells, found)) or [("nothing so far",)]
 
     async def _unconnected(self) -> list[tuple[str, str]]:
         found = [(each["name"], each["text"]) for each in await self._commands.check_graph()]
@@ -205,8 +205,7 @@ class _Page:
 
     async def _topics(self) -> list[tuple[str, ...]]:
         rows = map(expect.cells, await self._watch.expectations())
-        nothing = ("nothing is expected of topics", "", "", "")
-        return [(*row[:3], row[-1]) for row in rows] or [nothing]
+        return [(*row[:3], row[-1]) for row in rows] or [("nothing is expected of topics",)]
 
     async def _open(self, event: GenericEventArguments) -> None:
         row = next((row for row in self._watch.rows if str(target_of(row)) == event.args), None)
@@ -222,13 +221,6 @@ class _Page:
         self._story = None
 
 
-def _status(reported: dict[str, Any]) -> tuple[str, ...]:
-    hardware = f" ({reported['hardware_id']})" if reported["hardware_id"] else ""
-    said = f"{reported['level']}: {reported['message']}".removesuffix(": ")
-    values = ", ".join(f"{name}: {value}" for name, value in reported["values"].items())
-    return f"{reported['name']}{hardware}", said, values
-
-
 def _live(title: str, columns: str, ask: Callable[[], Awaitable[list[tuple[str, ...]]]]) -> None:
     """Add rows of texts that are asked for again and again while they are shown."""
     drawn: list[tuple[str, ...]] = []
@@ -237,14 +229,17 @@ def _live(title: str, columns: str, ask: Callable[[], Awaitable[list[tuple[str, 
         try:
             rows = await ask()
         except (CommandError, OperationError) as error:
-            rows = [(str(error), *[""] * columns.count(" "))]
+            rows = [(str(error),)]
+        if len(rows) > _MOST_ROWS:
+            rows[_MOST_ROWS:] = [(f"{len(rows) - _MOST_ROWS} more",)]
         if rows == drawn:
             return
         drawn[:] = rows
         grid.clear()
         with grid:
-            for text in (text for row in rows for text in row):
-                ui.label(model.clean(text)).style(_TEXT)
+            for row in rows:
+                for text in (*row, *[""] * (columns.count(" ") + 1 - len(row))):
+                    ui.label(model.clean(text)).style(_TEXT)
 
     async def show(event: ValueChangeEventArguments[bool]) -> None:
         asking.active = event.value
