@@ -25,6 +25,7 @@ from play_launch.postmortem.diagnostics import (
     OK,
     OWN_PREFIX,
     STALE,
+    TOPIC,
     WARN,
     Diagnostics,
     status_object,
@@ -83,7 +84,7 @@ def diagnostics(
             if listen:
                 return _listen(ros, client, stop, as_json=as_json)
             note(f"publishing the states of {client.hello.name} on /diagnostics")
-            publish = ros.publisher(DiagnosticArray, "/diagnostics")
+            publish = ros.publisher(DiagnosticArray, TOPIC)
             while not stop.wait(period):
                 try:
                     units = msgspec.convert(client.ask("ps"), list[UnitRow], strict=False)
@@ -126,10 +127,10 @@ def _listen(
             stop.set()
 
     def take(array: DiagnosticArray) -> None:
-        reports = [_report(each) for each in array.status]
+        reports = reports_of(array)
         tell(found.report(time.time_ns(), reports), (each["name"] for each in reports))
 
-    ros.subscribe(DiagnosticArray, "/diagnostics", take)
+    ros.subscribe(DiagnosticArray, TOPIC, take)
     while not stop.is_set():
         ros.until(stop.is_set, time.monotonic() + _ASK)
         tell(found.fell_silent(time.time_ns()), ())
@@ -148,15 +149,18 @@ def cells(status: dict[str, Any]) -> tuple[str, ...]:
     return f"{status['name']}{hardware}", said, values
 
 
-def _report(status: DiagnosticStatus) -> dict[str, Any]:
-    values = [{"key": each.key, "value": each.value} for each in status.values]
-    return {
-        "level": status.level[0],
-        "name": status.name,
-        "message": status.message,
-        "hardware_id": status.hardware_id,
-        "values": values,
-    }
+def reports_of(array: DiagnosticArray) -> list[dict[str, Any]]:
+    """Give the statuses of a message as a recording has them."""
+    return [
+        {
+            "level": status.level[0],
+            "name": status.name,
+            "message": status.message,
+            "hardware_id": status.hardware_id,
+            "values": [{"key": each.key, "value": each.value} for each in status.values],
+        }
+        for status in array.status
+    ]
 
 
 def _of_unit(row: UnitRow) -> DiagnosticStatus:

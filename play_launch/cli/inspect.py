@@ -204,8 +204,15 @@ def _texts(told: _Told, since: float, level: int, *, as_json: bool) -> Iterator[
 def _of_level(change: LevelChange) -> _Told:
     level = _LEVELS.get(change.level, WARN)
     line = DisplayLine(change.at_ns, change.status, str(change), level)
-    values = {"event": "diagnostics", "stamp_ns": change.at_ns, **msgspec.to_builtins(change)}
-    return _Told(change.at_ns, [change.status], line, values | {"level": level_name(change.level)})
+    values: dict[str, object] = {
+        "event": "diagnostics",
+        "stamp_ns": change.at_ns,
+        "status": change.status,
+        "hardware_id": change.hardware,
+        "level": level_name(change.level),
+        "message": change.message,
+    }
+    return _Told(change.at_ns, [change.status], line, values)
 
 
 def _of_parameters(said: RecordedParameter, log_time: int) -> tuple[DisplayLine, dict[str, object]]:

@@ -11,8 +11,9 @@ import typer
 from play_launch import ExitCode
 from play_launch.cli import options as cli_options
 from play_launch.cli.connection import connected
+from play_launch.cli.diagnostics import reports_of
 from play_launch.cli.output import fail, report, say
-from play_launch.postmortem.diagnostics import ERROR, OWN_PREFIX
+from play_launch.postmortem.diagnostics import ERROR, TOPIC, Diagnostics
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray
@@ -150,26 +151,24 @@ def _wait_in_the_graph(
 
 
 class _Statuses:
-    """What nodes say on ``/diagnostics`` of themselves, the latest report of each status."""
+    """What nodes report on ``/diagnostics``."""
 
     def __init__(self, ros: NodeServices) -> None:
         from diagnostic_msgs.msg import DiagnosticArray  # noqa: PLC0415 - slow
 
         self._ros = ros
-        self._latest: dict[str, tuple[int, str]] = {}
+        self._found = Diagnostics(None)
         self._heard_from = time.monotonic() + _REPORTS
-        ros.subscribe(DiagnosticArray, "/diagnostics", self._take)
+        ros.subscribe(DiagnosticArray, TOPIC, self._take)
 
     def _take(self, array: DiagnosticArray) -> None:
-        for each in array.status:
-            if not each.name.startswith(OWN_PREFIX):  # the session itself says the same
-                self._latest[each.name] = (each.level[0], each.message)
+        self._found.report(time.time_ns(), reports_of(array))
 
     def _bad(self) -> list[str]:
         return [
-            f"{name} ({text or 'no message'})"
-            for name, (level, text) in self._latest.items()
-            if level >= ERROR
+            f"{name} ({status.report['message'] or 'no message'})"
+            for name, status in self._found.statuses.items()
+            if status.level >= ERROR
         ]
 
     def bad(self, deadline: float) -> list[str]:

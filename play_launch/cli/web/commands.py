@@ -96,11 +96,11 @@ class Commands:
         """Listen while that is asked for, until cancelled."""
         while True:
             await self._asked.wait()
-            self._statuses.clear()
             try:
                 await self._listen()
             except (OSError, ValueError) as error:
                 self._deaf = str(error)
+            self._statuses.clear()
             self._asked.clear()
             await asyncio.sleep(_AGAIN)
 
