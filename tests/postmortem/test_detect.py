@@ -146,6 +146,15 @@ def test_errors_in_diagnostics_and_silence(tmp_path: Path) -> None:
     }
 
 
+def test_a_status_that_changes_too_often(tmp_path: Path) -> None:
+    scene = Scene()
+    for at in range(1_010):
+        scene.diagnostics(at, lidar=(2 * (at % 2), "no data"))
+    (found,) = scene.story(tmp_path).findings
+    assert len(found.times_ns) == 500
+    assert found.cause == "no data, for 1.0 s; 10 later changes of its level are not counted"
+
+
 @pytest.mark.parametrize(("given", "is_silent"), [(None, True), (20.0, True), (40.0, False)])
 def test_how_long_a_silence_may_be(tmp_path: Path, given: float | None, is_silent: bool) -> None:
     scene = Scene()

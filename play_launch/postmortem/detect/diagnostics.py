@@ -21,13 +21,14 @@ def detect(timeline: Timeline) -> Iterator[Finding]:
         ends = [*(each.at_ns for each in status.changes[1:]), None]
         stays = list(zip(status.changes, ends, strict=True))
         if bad := [stay for stay in stays if stay[0].level >= ERROR and not stay[0].is_silence]:
-            yield _bad(bad)
+            yield _bad(bad, status.further_changes)
         if silent := [stay for stay in stays if stay[0].is_silence]:
             yield _silent(silent, timeline)
 
 
-def _bad(bad: Sequence[tuple[LevelChange, int | None]]) -> Finding:
+def _bad(bad: Sequence[tuple[LevelChange, int | None]], further: int) -> Finding:
     first, end = bad[0]
+    more = f"; {further} later changes of its level are not counted" if further else ""
     lasted = "until the end" if end is None else f"for {duration(end - first.at_ns)}"
     return Finding(
         kind="diagnostics_error",
@@ -36,7 +37,7 @@ def _bad(bad: Sequence[tuple[LevelChange, int | None]]) -> Finding:
         says=f"was reported as {level_name(first.level)} {{when}}",
         name=first.name,
         times_ns=tuple(change.at_ns for change, _ in bad),
-        cause=f"{first.message or 'no message'}, {lasted}",
+        cause=f"{first.message or 'no message'}, {lasted}{more}",
         place=DeclaredPlace(),
     )
 
