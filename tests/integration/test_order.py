@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from play_launch.postmortem.critical_chain import critical_chain
+from play_launch.postmortem.timeline import read_timeline
 from tests.support.replay import Replay, alive, replaying, run
 from tests.support.scenes import node, written
 from tests.support.waiting import until
@@ -96,6 +98,12 @@ def test_a_chain_of_all_kinds(tmp_path: Path) -> None:
     ended = {name: index(replay, kind="exited", name=name) for name in ("/last", "/c", "/d")}
     assert ended["/last"] < index(replay, kind="stopping", name="/c")
     assert ended["/last"] < index(replay, kind="stopping", name="/d")
+    timeline = read_timeline(replay.bag)
+    chains = {
+        unit.name: [link.name for link in critical_chain(timeline, unit)] for unit in timeline.units
+    }
+    assert chains["/listener"] == ["/listener", "/talker", "/c"]
+    assert chains["/after"] == ["/after", "/flags", "/first"]
 
 
 def test_rclpy_is_not_imported_without_need(tmp_path: Path) -> None:
