@@ -28,6 +28,7 @@ from play_launch.postmortem.diagnostics import (
     TOPIC,
     WARN,
     Diagnostics,
+    reports_of,
     status_object,
 )
 
@@ -147,20 +148,6 @@ def cells(status: dict[str, Any]) -> tuple[str, ...]:
     said = f"{status['level']}: {status['message']}".removesuffix(": ")
     values = ", ".join(f"{name}: {value}" for name, value in status["values"].items())
     return f"{status['name']}{hardware}", said, values
-
-
-def reports_of(array: DiagnosticArray) -> list[dict[str, Any]]:
-    """Give the statuses of a message as a recording has them."""
-    return [
-        {
-            "level": status.level[0],
-            "name": status.name,
-            "message": status.message,
-            "hardware_id": status.hardware_id,
-            "values": [{"key": each.key, "value": each.value} for each in status.values],
-        }
-        for status in array.status
-    ]
 
 
 def _of_unit(row: UnitRow) -> DiagnosticStatus:

@@ -11,9 +11,8 @@ import typer
 from play_launch import ExitCode
 from play_launch.cli import options as cli_options
 from play_launch.cli.connection import connected
-from play_launch.cli.diagnostics import reports_of
 from play_launch.cli.output import fail, report, say
-from play_launch.postmortem.diagnostics import ERROR, TOPIC, Diagnostics
+from play_launch.postmortem.diagnostics import ERROR, TOPIC, Diagnostics, reports_of
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray

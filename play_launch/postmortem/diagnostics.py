@@ -11,6 +11,8 @@ from play_launch.container.cdr.layout import CdrError, Layout
 from play_launch.postmortem.events import UnreadableEventError
 
 if TYPE_CHECKING:
+    from diagnostic_msgs.msg import DiagnosticArray
+
     from play_launch.postmortem.bag_reader import Message
     from play_launch.postmortem.session import PastSession
 
@@ -135,6 +137,20 @@ class Diagnostics:
         at_ns, hardware = status.seen_ns + self.stale_ns, status.report["hardware_id"]
         said = f"it was not reported for {self.stale_ns / 1e9:g} s"
         return LevelChange(name, hardware, at_ns, STALE, said, is_silence=True)
+
+
+def reports_of(array: DiagnosticArray) -> list[dict[str, Any]]:
+    """Give the statuses of a message of rclpy as `DIAGNOSTIC_ARRAY` has them."""
+    return [
+        {
+            "level": status.level[0],
+            "name": status.name,
+            "message": status.message,
+            "hardware_id": status.hardware_id,
+            "values": [{"key": each.key, "value": each.value} for each in status.values],
+        }
+        for status in array.status
+    ]
 
 
 def status_object(name: str, status: Status) -> dict[str, Any]:
