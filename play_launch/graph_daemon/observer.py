@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch import UserError
 from play_launch.graph_daemon.contract import (
     LISTENING,
+    LONGEST_USE,
     NODE_PREFIX,
     STATUS_METHOD,
     DomainError,
@@ -156,7 +157,8 @@ class _Observer:
             self.warn_once(f"the graph daemon does not answer: {error}")
             return True
         self._warning = ""
-        self._generation = generation
+        # A younger change may not be in what was answered: the daemon repeats answers for a while.
+        self._generation = generation if unchanged_for >= LONGEST_USE else -1
         before, known = self._known, self._endpoints
         now = Counter(each.full_name for each in nodes if not each.name.startswith(_OWN_NODES))
         self._known, self._endpoints = now, endpoints

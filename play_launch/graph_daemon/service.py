@@ -15,6 +15,7 @@ from play_launch.graph_daemon.contract import (
     ENDPOINTS_METHOD,
     GRAPH_METHODS,
     JSON_METHOD,
+    LONGEST_USE,
     SHUTDOWN_METHOD,
     STATUS_METHOD,
     UNSERVED_METHOD,
@@ -31,8 +32,6 @@ HOLD: Final = 4.0
 """A reply that took a time is used for that many times as long, whatever changes: while sixty
 processes start, the graph changes faster than an answer is written."""
 LONGEST_HOLD: Final = 0.25
-LONGEST_USE: Final = 1.0
-"""Seconds that a reply is used for at most; a middleware might not report a change."""
 LONGEST_COUNT: Final = 10.0
 """Seconds that a count of the graph's population is used for; counting 54 nodes takes 5 ms."""
 CACHE_LIMIT: Final = 32 * 1024 * 1024

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import logging
 import os
 import signal
 import time
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from play_launch.graph_daemon import observer
 from play_launch.graph_daemon.contract import DaemonAddress
+from play_launch.graph_daemon.graph_client import GraphClient
 from play_launch.graph_daemon.observer import (
     ORPHAN_TIMEOUT,
+    _Observer,
     observe_graph,
 )
 from play_launch.graph_daemon.port import (
@@ -178,3 +182,34 @@ def test_a_daemon_that_dies_is_reported_once_and_started_again(
 def test_a_domain_that_is_none_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     asyncio.run(observe_graph({"ROS_DOMAIN_ID": "banana"}, Heard().publish))
     assert "no graph daemon: ROS_DOMAIN_ID is a number" in caplog.text
+
+
+def test_an_answer_that_is_older_than_the_change_is_not_the_last(address: DaemonAddress) -> None:
+    """The daemon repeats answers for a while, also to a question that is younger than a change."""
+    heard = Heard()
+    observed_by = _Observer(address, heard.publish)
+    generations = iter([(1, 9.0), (2, 0.1), (2, 1.2)])
+    names = iter([["a", "b"], ["a", "b"], ["a"]])
+
+    class Client:
+        def call(self, _method: str, known: str) -> str:
+            generation, unchanged_for = next(generations)
+            if known == str(generation):
+                return ""
+            values = {"generation": generation, "unchanged_for": unchanged_for, "warm": True}
+            return json.dumps(values)
+
+        def nodes(self) -> list[Any]:
+            return [SimpleNamespace(name=name, full_name=f"/{name}") for name in next(names)]
+
+        def endpoints(self) -> list[Any]:
+            return []
+
+    observed_by._client = cast("GraphClient", Client())
+
+    async def polls() -> None:
+        for _ in range(3):
+            await observed_by._poll()
+
+    asyncio.run(polls())
+    assert heard.has(vanished="/b")
