@@ -16,7 +16,7 @@ import typer
 from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.connection import connected, enter_environment_of, report_end
-from play_launch.cli.output import clock, fail, note, printable, redirect_to_devnull
+from play_launch.cli.output import clock, fail, note, printable
 from play_launch.control.messages import UnitRow
 from play_launch.control.protocol import OperationError
 from play_launch.control.units import Health, health, target_of
@@ -119,13 +119,8 @@ def _listen(
                 yield json.dumps(now)
 
     def tell(changes: list[LevelChange], names: Iterable[str]) -> None:
-        try:
-            for line in lines(changes, names):
-                sys.stdout.write(f"{line}\n")
-            sys.stdout.flush()
-        except BrokenPipeError:
-            redirect_to_devnull(sys.stdout)
-            stop.set()
+        sys.stdout.writelines(f"{line}\n" for line in lines(changes, names))
+        sys.stdout.flush()
 
     def take(array: DiagnosticArray) -> None:
         reports = reports_of(array)

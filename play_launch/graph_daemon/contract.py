@@ -33,7 +33,8 @@ BACKLOG: Final = 1024
 """Clients that may wait to be accepted; the kernel may allow fewer (net.core.somaxconn)."""
 
 LONGEST_USE: Final = 1.0
-"""Seconds for which an answer is repeated at most, even if the graph has changed meanwhile."""
+"""Seconds for which an answer is repeated at most; the graph may have changed meanwhile, even
+without a report of the middleware."""
 STATUS_METHOD: Final = "system.play_launch_status"
 """Answers with a JSON text, see docs/daemon.md.
 

@@ -131,7 +131,7 @@ class Commands:
         finally:
             with contextlib.suppress(ProcessLookupError):
                 child.terminate()
-            await child.wait()
+            await child.communicate()  # it may wait for its last lines to be read
 
     async def check_graph(self) -> list[dict[str, Any]]:
         """Return the problems of the session's graph: kind, name, text; raises CommandError."""

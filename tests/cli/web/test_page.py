@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import re
@@ -20,6 +21,7 @@ import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
 from benchmarks.browser import Browser, BrowserError, find_browser
+from play_launch.cli.web import commands
 from play_launch.cli.web.watch import Watch
 from tests.cli.top.rows import row
 from tests.cli.web.server import Server, serving
@@ -182,6 +184,35 @@ def test_what_nodes_report_is_shown(tmp_path: Path, browser: Browser) -> None:
         browser.call("Page.navigate", url="about:blank")
         psutil.wait_procs([listener], 40)
         assert not listener.is_running()
+
+
+def test_a_listener_that_has_much_to_tell_at_its_end_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = tmp_path / "play-launch"
+    script.write_text(
+        "#!/usr/bin/env python3\n"
+        "import json, signal, threading\n"
+        "stop = threading.Event()\n"
+        "signal.signal(signal.SIGTERM, lambda *_: stop.set())\n"
+        "line = json.dumps({'name': 'lidar'})\n"
+        "print(line, flush=True)\n"
+        "stop.wait()\n"
+        "for _ in range(500_000): print(line)\n"
+    )
+    script.chmod(0o755)
+    monkeypatch.setattr(commands, "program", lambda: script)
+
+    async def scenario() -> None:
+        asked = commands.Commands(None)
+        listening = asyncio.create_task(asked.run())
+        while not asked.diagnostics("/log"):
+            await asyncio.sleep(0.02)
+        listening.cancel()
+        await asyncio.wait([listening], timeout=60)
+        assert listening.done()
+
+    asyncio.run(scenario())
 
 
 @needs_browser
