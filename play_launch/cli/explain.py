@@ -14,11 +14,11 @@ from play_launch.cli.info import report_damage
 from play_launch.cli.output import counted, duration, printable, say
 from play_launch.postmortem.diagnostics import level_name, status_object
 from play_launch.postmortem.findings import findings, is_wrong
-from play_launch.postmortem.frames import plain_function
 from play_launch.postmortem.known_causes import BY_NAME, known_by
 from play_launch.postmortem.parameters import is_of_the_node, shortened
 from play_launch.postmortem.source_lines import located
 from play_launch.postmortem.timeline import read_timeline
+from play_launch.supervisor.frames import plain_function
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-import site
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -205,9 +205,7 @@ class Allocator:
     problem: str = ""
 
 
-def find_allocator(
-    environ: Mapping[str, str] | None = None, *, packages: Iterable[Path] | None = None
-) -> Allocator:
+def find_allocator(environ: Mapping[str, str] | None = None) -> Allocator:
     """Find the allocator that isolated containers preload; may run ldconfig.
 
     The processes of such a container share one heap. A process that dies inside of glibc's malloc
@@ -216,7 +214,6 @@ def find_allocator(
 
     Args:
         environ: The environment; None for our own.
-        packages: The folders of Python packages; None for those of this interpreter.
     """
     named = (os.environ if environ is None else environ).get(ALLOCATOR_VARIABLE, "")
     if named:
@@ -224,7 +221,7 @@ def find_allocator(
             return Allocator(Path(named))
         problem = f"{ALLOCATOR_VARIABLE} names {named}, which is no library"
         return Allocator(None, f"{problem}; {ADVICE}")
-    for folder in _package_folders() if packages is None else packages:
+    for folder in map(Path, filter(None, sys.path)):
         if _is_library(folder / WHEEL_LIBRARY):
             return Allocator(folder / WHEEL_LIBRARY)
     from ctypes.util import find_library  # noqa: PLC0415 - all of the start waits for imports
@@ -276,8 +273,3 @@ def _is_library(file: Path) -> bool:
             return opened.read(4) == b"\x7fELF"
     except OSError:
         return False
-
-
-def _package_folders() -> list[Path]:
-    own = site.getusersitepackages() if site.ENABLE_USER_SITE else None
-    return [Path(folder) for folder in (*site.getsitepackages(), own) if folder]

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.postmortem.frames import Signature  # noqa: TC001 - a field of a Struct
 from play_launch.supervisor.events import MemoryKind
+from play_launch.supervisor.frames import Signature  # noqa: TC001 - a field of a Struct
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

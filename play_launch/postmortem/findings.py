@@ -11,11 +11,11 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.postmortem import detect
-from play_launch.postmortem.frames import Frame, Signature  # noqa: TC001 - fields of a Struct
 from play_launch.postmortem.parameters import ParametersOfALife  # noqa: TC001 - as above
 from play_launch.postmortem.samples import Trend  # noqa: TC001 - as above
 from play_launch.postmortem.source_lines import Module, SourceLine  # noqa: TC001 - as above
 from play_launch.postmortem.units import Downtime  # noqa: TC001 - as above
+from play_launch.supervisor.frames import Frame, Signature  # noqa: TC001 - fields of a Struct
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -17,14 +17,14 @@ from typing import IO, TYPE_CHECKING, Final, NamedTuple, TypeAlias
 from msgspec import Struct
 from msgspec.structs import replace
 
-from play_launch.postmortem.frames import FAULTS, blamed
 from play_launch.recording.folder import open_regular
+from play_launch.supervisor.frames import FAULTS, blamed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from play_launch.postmortem.findings import Finding
-    from play_launch.postmortem.frames import Frame
+    from play_launch.supervisor.frames import Frame
 
 _LIMIT: Final = 10.0
 """Seconds for one library; large ones take one or two."""

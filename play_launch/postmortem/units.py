@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import signal as signals
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -9,10 +11,10 @@ from msgspec import Struct, field
 
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import GROUP_STATS
-from play_launch.postmortem.frames import Frame, Signature, ending, frame_of, signature_of
 from play_launch.postmortem.parameters import ParametersOfALife  # noqa: TC001 - a field of a Struct
 from play_launch.postmortem.samples import Trend  # noqa: TC001 - as above
 from play_launch.postmortem.source_lines import Module, module_of
+from play_launch.process.exit import UNKNOWN_STATUS
 from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,
@@ -20,6 +22,7 @@ from play_launch.supervisor.events import (
     ProcessEventKind,
     SubjectKind,
 )
+from play_launch.supervisor.frames import Frame, Signature, frame_of, signature_of
 from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
@@ -34,6 +37,7 @@ NO_UNIT: Final = 0xFFFF
 _GROUP: Final = GROUP_STATS.picker("group", "throttled_seconds", "oom_kills", "pids_max_hits")
 _MOST_TIMES: Final = 10_000
 """Moments and downtimes that are kept, of one failure."""
+_EXCEPTION: Final = re.compile(r"uncaught exception ((?:[\w<>, ]|::)+)")
 
 
 class Fault(StrEnum):
@@ -287,3 +291,15 @@ class GroupUse(Struct):
         if refused > same[3]:
             self.refused += refused - same[3]
             self.refused_times += [at][: _MOST_TIMES - len(self.refused_times)]
+
+
+def ending(signal: int, exit_code: int, reason: str) -> str:
+    """Name how it ended: the type of an uncaught exception tells most."""
+    if found := _EXCEPTION.search(reason):
+        return found[1].strip()
+    if signal:
+        try:
+            return signals.Signals(signal).name
+        except ValueError:
+            return f"signal {signal}"
+    return "unknown exit status" if exit_code == UNKNOWN_STATUS else f"exit status {exit_code}"

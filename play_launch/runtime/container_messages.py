@@ -24,7 +24,8 @@ from play_launch.process.identity import ProcessIdentity
 from play_launch.process.machine import explained
 from play_launch.process.processor_wait import thread_wait
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
-from play_launch.supervisor.inputs import NodeReported, blamed_frame
+from play_launch.supervisor.frames import blamed_line
+from play_launch.supervisor.inputs import NodeReported
 from play_launch.supervisor.outcome import Cause
 from play_launch.supervisor.transitions import NodeFact
 
@@ -151,7 +152,7 @@ def _of_event(event: ComponentEvent, report: Callable[..., NodeReported]) -> Nod
         ending = str(explained(Exit(code=event.exit_code, signal=event.signal)))
         reason = f"{ending}: {reason}" if reason else ending
         if event.backtrace:
-            reason += f" at {blamed_frame(event.backtrace)}"
+            reason += f" at {blamed_line(event.backtrace)}"
     return report(
         said=_FACT_OF_EVENT[event.kind],
         attempt=event.attempt,

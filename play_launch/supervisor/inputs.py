@@ -6,10 +6,9 @@ What belongs to an earlier start (``start``) or load (``attempt``) changes nothi
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from enum import StrEnum, auto
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 from msgspec import Struct, field
 
@@ -135,9 +134,6 @@ class HealthReported(Report, frozen=True):
     lock_holder: int = 0
 
 
-_RUNTIME: Final = re.compile(r"\b(?:libc|libstdc\+\+|libgcc_s|libpthread|ld-linux[\w-]*)\.so\b")
-
-
 class ProbeResult(Struct, frozen=True, kw_only=True):
     """Result of loading a library in a scratch process."""
 
@@ -151,11 +147,6 @@ class ProbeResult(Struct, frozen=True, kw_only=True):
     """Libraries of the backtrace, as in a `ComponentEvent`."""
     backtrace: tuple[str, ...] = ()
     """Innermost first."""
-
-
-def blamed_frame(backtrace: Sequence[str]) -> str:
-    """Choose the frame to show where there is room for one: the caller of abort(), not abort()."""
-    return next((frame for frame in backtrace if not _RUNTIME.search(frame)), backtrace[0])
 
 
 class Probed(_Input, frozen=True):

@@ -21,7 +21,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.supervisor import node_rules
-from play_launch.supervisor.inputs import Probe, blamed_frame
+from play_launch.supervisor.frames import blamed_line
+from play_launch.supervisor.inputs import Probe
 from play_launch.supervisor.transitions import LOADING
 from play_launch.supervisor.world import Stage, is_wanted
 
@@ -88,7 +89,7 @@ def probed(step: Reduction, said: Probed) -> None:
         step.world.put(node, stage=Stage.CLEARED)
         return
     node = step.world.put(node, stage=Stage.CONDEMNED)
-    at = f" at {blamed_frame(finding.backtrace)}" if finding.backtrace else ""
+    at = f" at {blamed_line(finding.backtrace)}" if finding.backtrace else ""
     name = node.key.container
     where = f"in a scratch process, tried because {name} ended while it loaded the node"
     node_rules.refuse(step, node, f"{finding.error}{at} ({where})", finding)

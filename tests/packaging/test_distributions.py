@@ -8,6 +8,9 @@ import sys
 import tomllib
 import zipfile
 from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 NATIVE = ROOT / "container_native"
@@ -31,6 +34,36 @@ def test_one_version_stands_everywhere() -> None:
     assert re.search(
         rf"^## {re.escape(version)}\b", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE
     )
+
+
+def test_what_builds_the_ros_packages_knows_them_and_what_they_need() -> None:
+    """As colcon and bloom look for packages: not below an ignored folder or another package."""
+    files = subprocess.run(
+        ["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True
+    )
+    paths = [Path(line) for line in files.stdout.splitlines()]
+    ignored = {path.parent for path in paths if path.name == "COLCON_IGNORE"}
+    manifests = [path for path in paths if path.name == "package.xml"]
+    packages = {path.parent for path in manifests}
+    found = {
+        folder.name: ET.parse(ROOT / folder / "package.xml").getroot()
+        for folder in packages
+        if not (ignored | packages) & set(folder.parents) and folder not in ignored
+    }
+    assert {root.findtext("name") for root in found.values()} == {
+        "play_launch_container",
+        "play_launch_msgs",
+    }
+    needed = {each.text or "" for root in found.values() for each in root if "depend" in each.tag}
+    names = {"libconsole-bridge-dev": "console_bridge"}
+    pixi = tomllib.loads((ROOT / "pixi.toml").read_text())
+    missing = {
+        names.get(key, f"ros-jazzy-{key.replace('_', '-')}")
+        for key in needed - {"play_launch_msgs"}
+    } - pixi["dependencies"].keys()
+    assert not missing
+    tracks = yaml.safe_load((NATIVE / "packaging" / "tracks.yaml").read_text())["tracks"]
+    assert {track["ros_distro"] for track in tracks.values()} == tracks.keys()
 
 
 def test_commands_for_pip_are_for_that_of_debian_12() -> None:

@@ -15,6 +15,7 @@ from play_launch.container.cdr.messages import PROCESS_STATS, log_message
 from play_launch.postmortem.bag_reader import Message, RecordedTopic
 from play_launch.postmortem.events import event_of
 from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.units import ending
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
@@ -160,3 +161,17 @@ def test_a_sample_of_nobody_is_damage(tmp_path: Path, about: tuple[SubjectKind, 
     assert list(session.events()) == []
     assert len(session.reader.damages) == 1
     assert "is not the key of a node" in session.reader.damages[0].reason
+
+
+@pytest.mark.parametrize(
+    ("signal", "code", "reason", "what"),
+    [
+        (11, 0, "SIGSEGV (no memory at address 0x0)", "SIGSEGV"),
+        (6, 0, "SIGABRT (uncaught exception std::runtime_error: no) in", "std::runtime_error"),
+        (6, 0, "SIGABRT (uncaught exception int) in thread", "int"),
+        (0, 3, "", "exit status 3"),
+        (77, 0, "", "signal 77"),
+    ],
+)
+def test_how_it_ended_in_a_word(signal: int, code: int, reason: str, what: str) -> None:
+    assert ending(signal, code, reason) == what

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.postmortem.findings import Finding
-from play_launch.postmortem.frames import Frame, Signature, frame_of
 from play_launch.postmortem.source_lines import (
     Module,
     SourceLine,
@@ -21,6 +20,7 @@ from play_launch.postmortem.source_lines import (
     module_of,
     read_elf,
 )
+from play_launch.supervisor.frames import Frame, Signature, frame_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

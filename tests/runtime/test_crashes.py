@@ -62,8 +62,8 @@ async def test_the_first_reload_is_at_once_and_the_neighbours_notice_nothing() -
         await sys.until_loaded(2)
         frames = (
             "#0 libc.so.6+0x8aeec",
-            "#1 abort+0xd3 (libc.so.6+0x2)",
-            "#2 burn()",
+            "#1 abort+0xd3 (component_container+0x2)",
+            "#2 burn()+0x4 (libstove.so+0x3)",
             "#3 main",
         )
         await crash(sys, "a", error="at 0x0", backtrace=frames)
@@ -77,7 +77,8 @@ async def test_the_first_reload_is_at_once_and_the_neighbours_notice_nothing() -
     assert sys.node_states("/b").count(NodeState.LOADED) == 1
     (told,) = sys.node_events("/a", NodeState.CRASHED)
     assert told.reason == (
-        "exited with signal 11 (SIGSEGV): at 0x0 at #2 burn(); it is loaded again at once"
+        "exited with signal 11 (SIGSEGV): at 0x0 at #2 burn()+0x4 (libstove.so+0x3); "
+        "it is loaded again at once"
     )
     assert told.crashes == 1
     assert (told.cause, told.sequel, told.delay_ns) == (Cause.SIGNAL, Sequel.RELOAD, 0)

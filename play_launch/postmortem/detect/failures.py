@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.config.text import duration
 from play_launch.postmortem.findings import DeclaredPlace, Finding
-from play_launch.postmortem.frames import blamed
 from play_launch.postmortem.known_causes import known_cause
 from play_launch.postmortem.units import Downtime, Fault
 from play_launch.supervisor.events import MachineState
+from play_launch.supervisor.frames import blamed
 from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:

@@ -104,7 +104,8 @@ def found(
     monkeypatch: pytest.MonkeyPatch, installed: dict[str, str], packages: Sequence[Path] = ()
 ) -> Allocator:
     monkeypatch.setattr("ctypes.util.find_library", installed.get)
-    return find_allocator({}, packages=packages)
+    monkeypatch.setattr(sys, "path", ["", *map(str, packages)])
+    return find_allocator({})
 
 
 def test_a_variable_that_names_nothing_of_use_is_told(tmp_path: Path) -> None:
@@ -191,7 +192,8 @@ def test_variable_then_package_then_mimalloc_then_jemalloc(
     own = library(tmp_path / "own.so")
     both = {"mimalloc": "libmimalloc.so.2", "jemalloc": "libjemalloc.so.2"}
     variable = {"PLAY_LAUNCH_ALLOCATOR": str(own)}
-    assert find_allocator(variable, packages=[tmp_path]) == Allocator(own)
+    monkeypatch.setattr(sys, "path", [str(tmp_path)])
+    assert find_allocator(variable) == Allocator(own)
     assert found(monkeypatch, both, [tmp_path]) == Allocator(wheel)
     assert found(monkeypatch, both) == Allocator(Path("libmimalloc.so.2"))
     only = {"jemalloc": "libjemalloc.so.2"}

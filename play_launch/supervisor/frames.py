@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import re
-import signal as signals
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
-
-from play_launch.process.exit import UNKNOWN_STATUS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -33,7 +30,6 @@ FAULTS: Final = frozenset({"SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGTRAP"})
 """Signals of which the first frame is the instruction that failed, and no call under way."""
 _FRAMES: Final = 4
 """Frames of a signature: enough to tell places apart, few enough for callers to change."""
-_EXCEPTION: Final = re.compile(r"uncaught exception ((?:[\w<>, ]|::)+)")
 
 
 class Frame(Struct, frozen=True):
@@ -93,16 +89,10 @@ def blamed(frames: Sequence[Frame]) -> int | None:
     return next(iter((*own, *libraries, *range(len(frames)))), None)
 
 
-def ending(signal: int, exit_code: int, reason: str) -> str:
-    """Name how it ended: the type of an uncaught exception tells most."""
-    if found := _EXCEPTION.search(reason):
-        return found[1].strip()
-    if signal:
-        try:
-            return signals.Signals(signal).name
-        except ValueError:
-            return f"signal {signal}"
-    return "unknown exit status" if exit_code == UNKNOWN_STATUS else f"exit status {exit_code}"
+def blamed_line(backtrace: Sequence[str]) -> str:
+    """Choose the line of a backtrace to show where there is room for one; empty: there is none."""
+    at = blamed([frame_of(line) for line in backtrace])
+    return "" if at is None else backtrace[at]
 
 
 def signature_of(what: str, frames: Iterable[Frame], name: str) -> Signature:

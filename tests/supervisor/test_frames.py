@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.postmortem.frames import (
+from play_launch.supervisor.frames import (
     Frame,
     blamed,
-    ending,
+    blamed_line,
     frame_of,
     plain_function,
     signature_of,
@@ -87,18 +87,11 @@ def test_runtime_and_framework_are_not_to_blame() -> None:
     assert blamed([]) is None
 
 
-@pytest.mark.parametrize(
-    ("signal", "code", "reason", "what"),
-    [
-        (11, 0, "SIGSEGV (no memory at address 0x0)", "SIGSEGV"),
-        (6, 0, "SIGABRT (uncaught exception std::runtime_error: no) in", "std::runtime_error"),
-        (6, 0, "SIGABRT (uncaught exception int) in thread", "int"),
-        (0, 3, "", "exit status 3"),
-        (77, 0, "", "signal 77"),
-    ],
-)
-def test_how_it_ended_in_a_word(signal: int, code: int, reason: str, what: str) -> None:
-    assert ending(signal, code, reason) == what
+def test_the_one_line_that_is_shown_is_that_of_the_user_though_abort_is_the_containers() -> None:
+    lines = ("#0 syscall+0x1 (libc.so.6+0x1)", "#1 abort+0x63 (component_container+0x1)")
+    assert blamed_line([*lines, "#2 libdemo.so+0x1"]) == "#2 libdemo.so+0x1"
+    assert blamed_line(lines) == lines[1]
+    assert blamed_line([]) == ""
 
 
 def test_without_a_backtrace_it_is_who_it_was() -> None:
