@@ -11,6 +11,7 @@ from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.connection import connected
 from play_launch.cli.output import clock, duration, printable, say, size
+from play_launch.config.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -68,7 +69,7 @@ def fields(unit: dict[str, Any], now_ns: int) -> Iterator[tuple[str, str]]:
     yield "Command", shlex.join(unit["command"])
     yield "Usage", _usage(unit)
     yield "Resources", ", ".join(f"{name} {value}" for name, value in unit["resources"].items())
-    crashes = f", {unit['crashes']} crashes" if unit["crashes"] else ""
+    crashes = f", {counted(unit['crashes'], 'crash')}" if unit["crashes"] else ""
     yield "Restarts", f"{unit['restarts']}{crashes}"
 
 

@@ -46,7 +46,7 @@ def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes | Refused:
                 if len(content) <= largest:
                     return content
             else:
-                message = "is no regular file"
+                message = "is a pipe or a device; write what comes from it to a file first"
     except IsADirectoryError:
         message = "is a directory"
     except FileNotFoundError:

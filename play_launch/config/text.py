@@ -34,8 +34,8 @@ def size(count: int) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """``1 node``, ``2 nodes``, ``3 processes``."""
-    plural = f"{noun}es" if noun.endswith("s") else f"{noun}s"
+    """``1 node``, ``2 nodes``, ``3 processes``, ``4 crashes``."""
+    plural = f"{noun}es" if noun.endswith(("s", "sh")) else f"{noun}s"
     return f"{number} {noun if number == 1 else plural}"
 
 

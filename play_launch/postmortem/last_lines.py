@@ -100,6 +100,13 @@ class LastLines:
         until = failure.log_time + LATE_LINES
         heapq.heappush(self._waiting, (until, next(self._order), failure))
 
+    def settle(self, failure: Failure) -> None:
+        """Give a failure its last lines: its unit starts again, and other lines follow."""
+        if any(each[2] is failure for each in self._waiting):
+            self._waiting = [each for each in self._waiting if each[2] is not failure]
+            heapq.heapify(self._waiting)
+            failure.last_lines = self.of(failure.container, failure.name, math.inf)
+
     def end(self) -> None:
         """Give all failures their last lines: none comes any more."""
         self._answer(math.inf)
@@ -107,15 +114,13 @@ class LastLines:
     def _answer(self, before: float) -> None:
         while self._waiting and self._waiting[0][0] < before:
             until, _, failure = heapq.heappop(self._waiting)
-            if failure.container:  # when a node is loaded again, other lines follow
-                until = min(until, failure.back_at or until)
             failure.last_lines = self.of(failure.container, failure.name, until)
 
     def qos_reports(self) -> Iterator[tuple[int, str]]:
         """Give the warnings about incompatible QoS, each with its log time."""
         return ((log_time, _text(data)) for log_time, data in self._qos)
 
-    def of(self, container: str, name: str, until_ns: int) -> tuple[str, ...]:
+    def of(self, container: str, name: str, until_ns: float) -> tuple[str, ...]:
         """Give the latest lines of a unit up to a moment; ``container`` is empty but for nodes.
 
         Of a node these are those of its loggers, and those of its container that name none.

@@ -243,7 +243,7 @@ class Timeline:
         unit.pid = event.pid or unit.pid
         unit.is_guest = is_guest(event.unique_id, event.attempt)
         if event.state is NodeState.LOADING and unit.failure is not None:
-            unit.failure.back_at = unit.failure.back_at or at_ns
+            self.lines.settle(unit.failure)
         if event.state is NodeState.LOADING and is_repeated and event.reason:
             slow = Failure.of_node(Fault.SLOW, event, unit, at_ns)
             self._add(slow, unit, "").cause = event.reason  # the latest one has the longest time
@@ -288,6 +288,8 @@ class Timeline:
         match event.kind:
             case ProcessEventKind.STARTED:
                 self._is_back(unit, event.stamp_ns)
+                if unit.failure is not None:
+                    self.lines.settle(unit.failure)
                 unit.is_stopping = False
                 unit.begun_ns = unit.begun_ns or at_ns
                 if unit.kind is SubjectKind.PROCESS:

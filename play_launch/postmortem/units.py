@@ -92,8 +92,6 @@ class Failure(Struct, kw_only=True):
     """Before, as recorded (``loaded``); empty: not known."""
     since_ns: int = 0
     """Since when it was in that state."""
-    back_at: int = 0
-    """Log time when it was started again first; 0: not yet."""
     times: list[int] = field(default_factory=list)
     sequels: dict[tuple[Sequel, int], str] = field(default_factory=dict)
     """What the supervisor did and after how many nanoseconds, with its reason if it has one."""

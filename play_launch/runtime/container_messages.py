@@ -149,10 +149,12 @@ def _of_event(event: ComponentEvent, report: Callable[..., NodeReported]) -> Nod
     """Read an event of a container; the reason of a crash names its location."""
     reason = event.error_message
     if event.kind is ComponentEventKind.CRASHED:
-        ending = str(explained(Exit(code=event.exit_code, signal=event.signal)))
-        reason = f"{ending}: {reason}" if reason else ending
-        if event.backtrace:
-            reason += f" at {blamed_line(event.backtrace)}"
+        ending = explained(Exit(code=event.exit_code, signal=event.signal))
+        at = f" at {blamed_line(event.backtrace)}" if event.backtrace else ""
+        if reason and f"({reason.split()[0]}" in str(ending):  # it names the signal itself
+            reason += at + (f": {ending.hint}" if ending.hint else "")
+        else:
+            reason = (f"{ending}: {reason}" if reason else str(ending)) + at
     return report(
         said=_FACT_OF_EVENT[event.kind],
         attempt=event.attempt,

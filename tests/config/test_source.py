@@ -44,7 +44,7 @@ def test_paths_that_are_no_readable_file(tmp_path: Path) -> None:
         ("file/demo.yaml", "not a directory"),
         ("dangling.yaml", "symbolic link to a file that does not exist"),
         ("loop.yaml", "too many levels of symbolic links"),
-        ("pipe.yaml", "is no regular file"),
+        ("pipe.yaml", "is a pipe or a device; write what comes from it to a file first"),
         ("a\0b", "is not a path"),
     ):
         assert reason in refusal(tmp_path / name).message, name

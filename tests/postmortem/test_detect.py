@@ -361,3 +361,17 @@ def test_what_a_failure_left_without_a_publisher(
     assert text_of(scan)[0] == f"/lidar left /scan without a publisher {how_long}, {at}."
     assert text_of(cmd)[0] == f"/lidar left /cmd without a subscription {how_long}, {at}."
     assert (scan.hit, cmd.hit, scan.is_failure) == (("/slam",), ("/drive",), False)
+
+
+def test_what_the_next_process_writes_at_once_is_not_the_last_of_the_one_before(
+    tmp_path: Path,
+) -> None:
+    scene = Scene()
+    scene.process(0, ProcessEventKind.STARTED, "/driver", pid=4)
+    scene.line(0.9, "the range finder does not answer", "/driver")
+    scene.process(1, ProcessEventKind.EXITED, "/driver", exit_code=1)
+    scene.process(1.05, ProcessEventKind.STARTED, "/driver", pid=5)
+    for number in range(30):
+        scene.line(1.06, f"line {number} of the next", "/driver")
+    (finding,) = scene.story(tmp_path).findings
+    assert finding.last_lines == ("the range finder does not answer",)
