@@ -22,6 +22,7 @@ from play_launch.postmortem.records import Runs
 from play_launch.postmortem.samples import Samples
 from play_launch.postmortem.session import PastSession
 from play_launch.postmortem.units import (
+    MOST_TIMES,
     NO_UNIT,
     Downtime,
     Failure,
@@ -65,8 +66,6 @@ MOST_CHANGES: Final = 300_000
 """Changes of state that are kept; further ones are counted."""
 MOST_EVENTS: Final = 5_000
 """Failures that are kept one by one; further ones are counted."""
-_MOST_TIMES: Final = 10_000
-"""Moments of one failure that are kept."""
 _KILLED: Final = frozenset({Cause.FROZEN, Cause.CHANNEL_FAILED, Cause.NODE_LEFT_LOCK})
 _WORDED: Final = frozenset({Sequel.RELOAD, Sequel.CONTAINER_RESTART, Sequel.SHUTDOWN})
 """Sequels that stand at the end of the reason of a node as well."""
@@ -247,6 +246,7 @@ class Timeline:
         if event.state is NodeState.LOADING and is_repeated and event.reason:
             slow = Failure.of_node(Fault.SLOW, event, unit, at_ns)
             self._add(slow, unit, "").cause = event.reason  # the latest one has the longest time
+        unit.note_block(event, at_ns, self.lines)
         self._arrive(event, unit, at_ns)
         match event.state:
             case NodeState.LOADED if not is_repeated:
@@ -415,7 +415,7 @@ class Timeline:
             self.lines.request(failure)
         elif failure.fault is Fault.SLOW:
             return known
-        if len(known.times) < _MOST_TIMES:
+        if len(known.times) < MOST_TIMES:
             known.times.append(failure.at_ns)
         frames = tuple(frame.text for frame in failure.frames)
         self._event(FailureEvent(unit, failure.log_time, known, reason, frames))

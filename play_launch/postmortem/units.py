@@ -23,10 +23,11 @@ from play_launch.supervisor.events import (
     SubjectKind,
 )
 from play_launch.supervisor.frames import Frame, Signature, frame_of, signature_of
-from play_launch.supervisor.outcome import Cause, Sequel
+from play_launch.supervisor.outcome import BLOCKED_AFTER, Cause, Sequel
 
 if TYPE_CHECKING:
     from play_launch.postmortem.bag_reader import Message
+    from play_launch.postmortem.last_lines import LastLines
     from play_launch.supervisor.events import ComponentEvent, NodeStateChanged, ProcessEvent
 
 State: TypeAlias = NodeState | ContainerState | ProcessEventKind
@@ -35,7 +36,7 @@ NO_UNIT: Final = 0xFFFF
 """Number of what is no unit, and of the units beyond so many: a page has 16 bits for one."""
 
 _GROUP: Final = GROUP_STATS.picker("group", "throttled_seconds", "oom_kills", "pids_max_hits")
-_MOST_TIMES: Final = 10_000
+MOST_TIMES: Final = 10_000
 """Moments and downtimes that are kept, of one failure."""
 _EXCEPTION: Final = re.compile(r"uncaught exception ((?:[\w<>, ]|::)+)")
 
@@ -168,7 +169,7 @@ class Failure(Struct, kw_only=True):
             self.sequels[sequel, delay_ns] = reason
 
     def add_downtime(self, downtime: Downtime) -> None:
-        if len(self.away) < _MOST_TIMES:
+        if len(self.away) < MOST_TIMES:
             self.away.append(downtime)
 
 
@@ -220,11 +221,43 @@ class Unit(Struct, kw_only=True):
     """When a node was loaded first."""
     active_ns: int = 0
     """Log time when a managed node was active first."""
+    blocks: list[Block] = field(default_factory=list)
+    """Of the executor of a node."""
 
     @property
     def is_known(self) -> bool:
         """Whether more than its samples and output is recorded."""
         return self.state is not None or self.kind is SubjectKind.CONTAINER
+
+    def note_block(self, event: NodeStateChanged, at_ns: int, lines: LastLines) -> None:
+        """Note whether its executor is blocked from now on, or not any more."""
+        is_open = bool(self.blocks) and not self.blocks[-1].end_ns
+        if event.cause is not Cause.BLOCKED:
+            if is_open:
+                self.blocks[-1].end_ns = at_ns
+                self.blocks[-1].has_returned = event.state is NodeState.LOADED
+        elif not is_open and len(self.blocks) < MOST_TIMES:
+            before = round(BLOCKED_AFTER * 1e9)
+            last = lines.of(self.container, self.name, at_ns)
+            self.blocks.append(Block(event.stamp_ns - before, at_ns - before, last))
+
+
+class Block(Struct):
+    """One callback that an executor did not leave for long."""
+
+    at_ns: int
+    """When it began, in nanoseconds since the epoch."""
+    begin_ns: int
+    """The same as log time."""
+    last_lines: tuple[str, ...]
+    end_ns: int = 0
+    """Log time; 0: not before the recording ended."""
+    has_returned: bool = False
+    """Whether the executor goes on; else the node was stopped, or died."""
+
+    def lasted(self, end_ns: int) -> int:
+        """Give nanoseconds, until the recording ended at most."""
+        return (self.end_ns or end_ns) - self.begin_ns
 
 
 class FailureEvent(Struct, frozen=True):
@@ -285,10 +318,10 @@ class GroupUse(Struct):
             self.throttled_ns = self.throttled_ns or at
         if oom > same[2]:
             self.oom_kills += oom - same[2]
-            self.oom_times += [at][: _MOST_TIMES - len(self.oom_times)]
+            self.oom_times += [at][: MOST_TIMES - len(self.oom_times)]
         if refused > same[3]:
             self.refused += refused - same[3]
-            self.refused_times += [at][: _MOST_TIMES - len(self.refused_times)]
+            self.refused_times += [at][: MOST_TIMES - len(self.refused_times)]
 
 
 def ending(signal: int, exit_code: int, reason: str) -> str:

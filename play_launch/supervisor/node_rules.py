@@ -337,8 +337,9 @@ def _silence(step: Reduction, node: Node, seconds: float) -> None:
     if is_silent:
         reason = f"its executor has been blocked in a callback for {seconds:.0f} s"
         step.log(f"{node.name}: {reason}")
-    reports = node.reports + is_loaded
-    step.world.put(node, is_silent=is_silent, reason=reason, reports=reports)
+    outcome = Outcome(Cause.BLOCKED if is_silent else Cause.NONE)
+    values = {"reason": reason, "outcome": outcome} if is_loaded else {}
+    step.world.put(node, is_silent=is_silent, reports=node.reports + is_loaded, **values)
 
 
 # What is wanted against what is.

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from play_launch.supervisor.world import Exit
 
 
+BLOCKED_AFTER: Final = 10.0
 _EXPONENT_LIMIT: Final = 60
 
 PERMANENT_EXIT_CODES: Final = {
@@ -62,6 +63,8 @@ class Cause(IntEnum):
     CONTAINER_EXITED = 12
     REFUSED = 13
     """Not started or loaded: its conditions cannot be met, or a load was fatal before."""
+    BLOCKED = 14
+    """It is loaded; its executor has been in one callback for `BLOCKED_AFTER` seconds."""
 
 
 class Sequel(IntEnum):

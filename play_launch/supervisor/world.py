@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from play_launch.config.model import ComposableNodeConfig, ContainerConfig, ContainerType
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import ContainerState, ManagedState, NodeState
-from play_launch.supervisor.outcome import Outcome, RestartHistory
+from play_launch.supervisor.outcome import BLOCKED_AFTER, Outcome, RestartHistory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -423,7 +423,7 @@ class Limits(Struct, frozen=True, kw_only=True):
     """Between two reports of a slow constructor, or of one that waits."""
     reload_after_leak: float = 3.0
     """For a reload beyond its usual time, when a dead node probably left a lock locked."""
-    silence: float = 10.0
+    silence: float = BLOCKED_AFTER
     """For a callback, before it is reported as blocking the executor."""
 
 

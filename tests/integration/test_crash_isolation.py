@@ -358,5 +358,8 @@ def test_nodes_that_hang_without_a_death_are_told_of_and_left_alone(left_alone: 
     left_alone.read_until(all_told, "that they are busy")
     left_alone.process.send_signal(signal.SIGTERM)
     left_alone.read_all()
+    explained = run("explain", left_alone.bag, code=1).stdout
+    for each in NODES:
+        assert f"{each} in /lab was blocked in a callback" in explained
     assert len(left_alone.told(name="/lab", kind="started")) == 1
     assert not left_alone.told(name="/lab", kind="restarting")

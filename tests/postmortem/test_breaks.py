@@ -41,6 +41,12 @@ class Break(NamedTuple):
 
 
 BREAKS: Final = {
+    "blocked": Break(
+        failures._blocked,
+        "is_failure=not worst",
+        "is_failure=worst",
+        lambda path: test_detect.test_an_executor_that_was_blocked_in_a_callback(path, True),
+    ),
     "crashed": Break(
         Timeline._node_failed,
         "event.state is NodeState.CRASHED",

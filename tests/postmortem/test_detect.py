@@ -17,6 +17,7 @@ from play_launch.supervisor.events import (
     NodeState,
     ProcessEventKind,
 )
+from play_launch.supervisor.outcome import Cause
 from tests.postmortem.scenes import DIAGNOSTICS, SECOND, Scene, ns
 
 if TYPE_CHECKING:
@@ -375,3 +376,24 @@ def test_what_the_next_process_writes_at_once_is_not_the_last_of_the_one_before(
         scene.line(1.06, f"line {number} of the next", "/driver")
     (finding,) = scene.story(tmp_path).findings
     assert finding.last_lines == ("the range finder does not answer",)
+
+
+@pytest.mark.parametrize("returns", [True, False])
+def test_an_executor_that_was_blocked_in_a_callback(tmp_path: Path, returns: bool) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(0.5, "/slam", NodeState.LOADED)
+    scene.line(5, "[INFO] [1.0] [slam]: optimising")
+    scene.node(16, "/slam", NodeState.LOADED, cause=Cause.BLOCKED, reason="its executor ...")
+    if returns:
+        scene.node(40, "/slam", NodeState.LOADED)
+        scene.node(75, "/slam", NodeState.LOADED, cause=Cause.BLOCKED, reason="its executor ...")
+        scene.node(80, "/slam", NodeState.LOADED)
+    else:
+        scene.node(46, "/slam", NodeState.UNLOADED)
+    (finding,) = scene.story(tmp_path).findings
+    assert (finding.kind, finding.key, finding.is_failure) == ("blocked", "/box:/slam", not returns)
+    assert finding.times_ns == ((ns(6), ns(65)) if returns else (ns(6),))
+    how = "it returned after 34 s" if returns else "it had not returned after 40 s"
+    assert finding.cause == f"one callback kept its executor from everything else; {how}"
+    assert finding.last_lines == ("[INFO] [1.0] [slam]: optimising",)

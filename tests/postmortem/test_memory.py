@@ -73,8 +73,8 @@ def test_what_is_kept_does_not_grow_with_the_session(
         (samples, "_MOST_BUSY_TIMES"),
         (timeline, "MOST_CHANGES"),
         (timeline, "MOST_EVENTS"),
-        (timeline, "_MOST_TIMES"),
-        (units, "_MOST_TIMES"),
+        (timeline, "MOST_TIMES"),
+        (units, "MOST_TIMES"),
         (parameters, "_MOST_CHANGES"),
     ):
         monkeypatch.setattr(module, name, 50)

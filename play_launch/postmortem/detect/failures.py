@@ -51,6 +51,7 @@ _ENDS: Final = frozenset({Fault.CRASHED, Fault.DIED, Fault.KILLED})
 
 def detect(timeline: Timeline) -> Iterator[Finding]:
     yield from _failed(timeline)
+    yield from _blocked(timeline)
     yield from _looping(timeline)
     yield from _machines(timeline)
 
@@ -113,6 +114,29 @@ def _done(sequels: Mapping[tuple[Sequel, int], str]) -> Iterator[str]:
 
 def _after(delay_ns: int) -> str:
     return f"after {delay_ns / 1e9:.2f} s" if delay_ns else "immediately"
+
+
+def _blocked(timeline: Timeline) -> Iterator[Finding]:
+    """Report executors that did not leave a callback; it is a failure if one never did."""
+    end_ns = timeline.session.reader.end
+    for unit in timeline.units:
+        if not unit.blocks:
+            continue
+        worst = max(unit.blocks, key=lambda block: (not block.has_returned, block.lasted(end_ns)))
+        took = duration(worst.lasted(end_ns))
+        ended = "it returned" if worst.has_returned else "it had not returned"
+        yield Finding(
+            kind="blocked",
+            rank=3,
+            is_failure=not worst.has_returned,
+            says="was blocked in a callback {when}",
+            name=unit.name,
+            key=unit.key,
+            times_ns=tuple(block.at_ns for block in unit.blocks),
+            cause=f"one callback kept its executor from everything else; {ended} after {took}",
+            place=DeclaredPlace(container=unit.container),
+            last_lines=unit.blocks[0].last_lines,
+        )
 
 
 def _looping(timeline: Timeline) -> Iterator[Finding]:
