@@ -6,7 +6,6 @@ again, what the supervisor does, downtimes.
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
@@ -30,6 +29,7 @@ from play_launch.postmortem.units import (
     Fault,
     GroupUse,
     Unit,
+    named,
 )
 from play_launch.postmortem.version1 import Version1
 from play_launch.recording import topics
@@ -69,7 +69,6 @@ MOST_EVENTS: Final = 5_000
 _KILLED: Final = frozenset({Cause.FROZEN, Cause.CHANNEL_FAILED, Cause.NODE_LEFT_LOCK})
 _WORDED: Final = frozenset({Sequel.RELOAD, Sequel.CONTAINER_RESTART, Sequel.SHUTDOWN})
 """Sequels that stand at the end of the reason of a node as well."""
-_PROCESS: Final = re.compile(r"\bprocess (\d+)\b")
 _ON_ITS_WAY: Final = frozenset({NodeState.PENDING, NodeState.UNLOADING})
 _STATES: Final = frozenset({topics.COMPONENT_EVENTS.name, topics.STATES.name, topics.LOG_ALL.name})
 _SIZED: Final = (SubjectKind.CONTAINER, SubjectKind.NODE, SubjectKind.PROCESS)
@@ -132,8 +131,9 @@ class Timeline:
         return None if kind is None else self.unit(kind, topic.key)
 
     def of_name(self, name: str) -> Unit:
-        """Give the container or process of that name."""
-        return self._by_key.get((False, name)) or self.unit(SubjectKind.PROCESS, name)
+        """Give the container or process of that name, or the node of that key."""
+        kind = SubjectKind.NODE if ":/" in name else SubjectKind.PROCESS
+        return self._by_key.get((":/" in name, name)) or self.unit(kind, name)
 
     def take_of(self, topic: RecordedTopic) -> Take | Runs | None:
         """Give what takes the messages of a topic."""
@@ -194,9 +194,11 @@ class Timeline:
             case ExpectationChanged():
                 self.expectations.setdefault(event.topic, []).append(event)
             case ManagedNodeChanged(state=ManagedState.ACTIVE):
-                kind = SubjectKind.NODE if ":" in event.unit else SubjectKind.PROCESS
-                unit = self.unit(kind, event.unit)
+                unit = self.of_name(event.unit)
                 unit.active_ns = unit.active_ns or at_ns
+            case ManagedNodeChanged(state=ManagedState.FAILED):
+                unit = self.of_name(event.unit)
+                self._add(Failure.of_managed(event, unit, at_ns), unit, event.reason)
             case Withdrawn():
                 self.unit(event.kind, event.key).is_withdrawn = True
             case GraphChanged():
@@ -352,7 +354,7 @@ class Timeline:
 
     def _killed(self, event: ProcessEvent, unit: Unit, at_ns: int) -> None:
         """The supervisor kills it; for what a node left behind, that node is to blame."""
-        why = self._named(event.message.partition(": ")[2])
+        why = named(event.message.partition(": ")[2], self.units)
         culprit = self._by_key.get((True, event.culprit))
         if culprit is not None and culprit.failure is not None:
             failure = culprit.failure
@@ -384,16 +386,6 @@ class Timeline:
         if not unit.is_stopping:
             unit.down_since_ns = event.stamp_ns
         return fault is Fault.DIED
-
-    def _named(self, text: str) -> str:
-        """Name the nodes of the processes that a text has the pids of."""
-        by_pid = {unit.pid: unit.name for unit in self.units if unit.container}
-
-        def name(found: re.Match[str]) -> str:
-            node = by_pid.get(int(found[1]))
-            return f"{found[0]} ({node})" if node else found[0]
-
-        return _PROCESS.sub(name, text)
 
     def _is_back(self, unit: Unit, stamp_ns: int) -> None:
         if unit.down_since_ns and unit.failure is not None:

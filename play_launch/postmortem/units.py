@@ -26,9 +26,16 @@ from play_launch.supervisor.frames import Frame, Signature, frame_of, signature_
 from play_launch.supervisor.outcome import BLOCKED_AFTER, Cause, Sequel
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from play_launch.postmortem.bag_reader import Message
     from play_launch.postmortem.last_lines import LastLines
-    from play_launch.supervisor.events import ComponentEvent, NodeStateChanged, ProcessEvent
+    from play_launch.supervisor.events import (
+        ComponentEvent,
+        ManagedNodeChanged,
+        NodeStateChanged,
+        ProcessEvent,
+    )
 
 State: TypeAlias = NodeState | ContainerState | ProcessEventKind
 
@@ -38,6 +45,7 @@ NO_UNIT: Final = 0xFFFF
 _GROUP: Final = GROUP_STATS.picker("group", "throttled_seconds", "oom_kills", "pids_max_hits")
 MOST_TIMES: Final = 10_000
 """Moments and downtimes that are kept, of one failure."""
+_PROCESS: Final = re.compile(r"\bprocess (\d+)\b")
 _EXCEPTION: Final = re.compile(r"uncaught exception ((?:[\w<>, ]|::)+)")
 
 
@@ -55,6 +63,8 @@ class Fault(StrEnum):
     """It did not end when it was requested to, and was killed."""
     SLOW = "slow"
     """A constructor took longer than `loading_timeout`."""
+    NOT_BROUGHT_UP = "not_brought_up"
+    """A managed node did not come to the state that `autostart` names."""
 
 
 Reason: TypeAlias = tuple[Fault, str, Signature | None]
@@ -137,6 +147,20 @@ class Failure(Struct, kw_only=True):
             pid=event.pid,
             state=state,
             since_ns=since_ns,
+        )
+
+    @classmethod
+    def of_managed(cls, event: ManagedNodeChanged, unit: Unit, at_ns: int) -> Failure:
+        return cls(
+            fault=Fault.NOT_BROUGHT_UP,
+            key=unit.key,
+            name=unit.name,
+            container=unit.container,
+            at_ns=event.stamp_ns,
+            log_time=at_ns,
+            cause=event.reason,
+            pid=unit.pid,
+            since_ns=unit.since_ns,
         )
 
     @property
@@ -286,6 +310,7 @@ _MARKS: Final = {
     Fault.DIED: "died",
     Fault.LOAD_FAILED: "failed to load",
     Fault.STOP_TIMEOUT: "did not stop",
+    Fault.NOT_BROUGHT_UP: "not brought up",
 }
 
 
@@ -334,3 +359,14 @@ def ending(signal: int, exit_code: int, reason: str) -> str:
         except ValueError:
             return f"signal {signal}"
     return "unknown exit status" if exit_code == UNKNOWN_STATUS else f"exit status {exit_code}"
+
+
+def named(text: str, units: Iterable[Unit]) -> str:
+    """Name the nodes of the processes that a text has the pids of."""
+    by_pid = {unit.pid: unit.name for unit in units if unit.container}
+
+    def name(found: re.Match[str]) -> str:
+        node = by_pid.get(int(found[1]))
+        return f"{found[0]} ({node})" if node else found[0]
+
+    return _PROCESS.sub(name, text)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.support import scenes
-from tests.support.replay import Replay, recorded, replaying
+from tests.support.replay import Replay, recorded, replaying, run
 from tests.support.scenes import written
 
 WAIT = ("wait", "--for", "active", "--json")
@@ -134,6 +134,9 @@ def test_a_transition_that_fails_is_reported_and_fails_what_waits(
     assert failed["reason"] == f"its transition {transition} failed"
     (late,) = (event for event in replay.seen if event.get("kind") == "gave_up")
     assert late["message"] == f"it waited for /one to be active: {failed['reason']}"
+    explained = run("explain", replay.bag, code=1).stdout
+    assert "/one in /c was not brought up as a managed node" in explained
+    assert f"Cause: {failed['reason']}" in explained
 
 
 def test_one_that_takes_too_long(tmp_path: Path) -> None:

@@ -129,9 +129,11 @@ class Scene:
         event = ContainerStateChanged(stamp_ns=ns(at), container=name, state=state, reason=reason)
         self.events.append(event)
 
-    def managed(self, at: float, unit: str, state: ManagedState) -> None:
+    def managed(self, at: float, unit: str, state: ManagedState, reason: str = "") -> None:
         node = unit.rpartition(":")[2]
-        self.events.append(ManagedNodeChanged(stamp_ns=ns(at), unit=unit, node=node, state=state))
+        self.events.append(
+            ManagedNodeChanged(stamp_ns=ns(at), unit=unit, node=node, state=state, reason=reason)
+        )
 
     def process(self, at: float, kind: ProcessEventKind, name: str = "/box", **fields: Any) -> None:
         has_failed = fields.get("signal") or fields.get("exit_code")

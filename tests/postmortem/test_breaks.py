@@ -149,6 +149,12 @@ BREAKS: Final = {
             Scene(), path
         ),
     ),
+    "not_brought_up": Break(
+        Timeline.fold,
+        "state=ManagedState.FAILED",
+        "state=ManagedState.FINALIZED",
+        test_detect.test_a_managed_node_that_was_not_brought_up,
+    ),
     "not_loaded": Break(
         bring_up._missing,
         "state not in _MISSING",

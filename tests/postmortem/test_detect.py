@@ -14,6 +14,7 @@ from play_launch.supervisor.events import (
     ExpectationChanged,
     MachineChanged,
     MachineState,
+    ManagedState,
     NodeState,
     ProcessEventKind,
 )
@@ -397,3 +398,23 @@ def test_an_executor_that_was_blocked_in_a_callback(tmp_path: Path, returns: boo
     how = "it returned after 34 s" if returns else "it had not returned after 40 s"
     assert finding.cause == f"one callback kept its executor from everything else; {how}"
     assert finding.last_lines == ("[INFO] [1.0] [slam]: optimising",)
+
+
+def test_a_managed_node_that_was_not_brought_up(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(0.5, "/lidar", NodeState.LOADED)
+    scene.managed(0.6, "/box:/lidar", ManagedState.CONFIGURING)
+    scene.line(0.9, "[ERROR] [1.0] [lidar]: no such port")
+    why = "its transition configure failed"
+    scene.managed(1, "/box:/lidar", ManagedState.FAILED, why)
+    scene.line(1.1, "[ERROR] [1.1] [lidar]: given up")
+    scene.managed(20, "/box:/lidar", ManagedState.FAILED, why)
+    story = scene.story(tmp_path)
+    (finding,) = story.findings
+    assert (finding.kind, finding.key, finding.cause) == ("not_brought_up", "/box:/lidar", why)
+    text = "/lidar in /box was not brought up as a managed node 2 times, first at 1.000 s after"
+    assert headline(finding, ns(0)) == f"{text} the start."
+    assert finding.is_failure
+    assert len(finding.last_lines) == 2
+    assert [event.what for event in story.timeline.events] == ["not brought up"] * 2

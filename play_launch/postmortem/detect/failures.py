@@ -31,6 +31,7 @@ _WORDS: Final = {
     Fault.DIED: _FailureText(0, "died {when}"),
     Fault.LOAD_FAILED: _FailureText(0, "failed to load {when}"),
     Fault.KILLED: _FailureText(0, "was killed by play-launch {when}"),
+    Fault.NOT_BROUGHT_UP: _FailureText(0, "was not brought up as a managed node {when}"),
     Fault.STOP_TIMEOUT: _FailureText(4, "did not stop when it was asked to and was killed {when}"),
     Fault.SLOW: _FailureText(5, "was slow to construct: it was not ready at {at}"),
 }
