@@ -34,6 +34,7 @@ from play_launch.postmortem.units import (
 from play_launch.postmortem.version1 import Version1
 from play_launch.recording import topics
 from play_launch.supervisor.events import (
+    ActionEvent,
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -54,7 +55,7 @@ from play_launch.supervisor.events import (
     Withdrawn,
 )
 from play_launch.supervisor.outcome import Cause, Sequel
-from play_launch.supervisor.view import is_guest
+from play_launch.supervisor.view import SystemView, is_guest
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -70,7 +71,9 @@ _KILLED: Final = frozenset({Cause.FROZEN, Cause.CHANNEL_FAILED, Cause.NODE_LEFT_
 _WORDED: Final = frozenset({Sequel.RELOAD, Sequel.CONTAINER_RESTART, Sequel.SHUTDOWN})
 """Sequels that stand at the end of the reason of a node as well."""
 _ON_ITS_WAY: Final = frozenset({NodeState.PENDING, NodeState.UNLOADING})
-_STATES: Final = frozenset({topics.COMPONENT_EVENTS.name, topics.STATES.name, topics.LOG_ALL.name})
+_STATES: Final = frozenset(
+    each.name for each in (topics.COMPONENT_EVENTS, topics.STATES, topics.ACTIONS, topics.LOG_ALL)
+)
 _SIZED: Final = (SubjectKind.CONTAINER, SubjectKind.NODE, SubjectKind.PROCESS)
 
 
@@ -87,6 +90,7 @@ class Timeline:
         self.machines: dict[str, list[MachineChanged]] = {}
         self.expectations: dict[str, list[ExpectationChanged]] = {}
         """By topic."""
+        self.operated = SystemView()  # of operations alone
         self.samples = Samples()
         self.groups: dict[str, GroupUse] = {}
         """By the keys of their units."""
@@ -201,6 +205,9 @@ class Timeline:
                 self._add(Failure.of_managed(event, unit, at_ns), unit, event.reason)
             case Withdrawn():
                 self.unit(event.kind, event.key).is_withdrawn = True
+                self.operated = self.operated.after(event)
+            case ActionEvent():
+                self.operated = self.operated.after(event)
             case GraphChanged():
                 self.connections.take(event)
             case LogRecord():
@@ -375,9 +382,10 @@ class Timeline:
             return was == "killed"
         fault = Fault.DIED
         if unit.is_stopping:
-            if event.cause is not Cause.STOP_TIMEOUT:
+            if event.cause is Cause.STOP_TIMEOUT:
+                fault = Fault.STOP_TIMEOUT
+            elif event.cause is not Cause.SIGNAL:
                 return False
-            fault = Fault.STOP_TIMEOUT
         failure = Failure.of_process(fault, event, at_ns, was, since_ns)
         report = self._reports.pop(event.name, None)
         if report is not None and report.pid == event.pid and event.signal:

@@ -14,7 +14,7 @@ from play_launch.supervisor.events import (
     ProcessEventKind,
     RecordingInterrupted,
 )
-from play_launch.supervisor.outcome import Cause, Sequel
+from play_launch.supervisor.outcome import ENDING_SIGNALS, Cause, Sequel
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -92,6 +92,8 @@ class Version1:
                 cause = Cause.SIGNAL if event.signal else Cause.EXIT_STATUS
                 if is_stopping and event.signal == _SIGKILL:
                     cause = Cause.STOP_TIMEOUT
+                elif is_stopping and event.signal in ENDING_SIGNALS:
+                    cause = Cause.STOPPED
             case ProcessEventKind.RESTARTING:
                 sequel = Sequel.RESTART
                 delay = _DELAY.search(event.message)

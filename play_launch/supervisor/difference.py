@@ -21,6 +21,7 @@ from play_launch.supervisor.events import (
     Withdrawn,
 )
 from play_launch.supervisor.inputs import ProbeResult
+from play_launch.supervisor.outcome import Outcome
 from play_launch.supervisor.world import STATE_OF_PHASE, Before, Phase
 
 if TYPE_CHECKING:
@@ -102,6 +103,7 @@ def _process(old: Process | None, new: Process, stamp_ns: int) -> Iterator[RunEv
             exit_code=new.exit.code,
             signal=new.exit.signal,
             restarts=(old or new).restarts.total,
+            outcome=new.outcome if new.outcome.cause is new.exit_cause else Outcome(new.exit_cause),
         )
     text = _new_wait(old, new)
     if new.container is None:
@@ -163,8 +165,8 @@ def _event(
         start_time=process.start_time,
         restarts=more.pop("restarts", process.restarts.total),
         message=message,
+        **asdict(more.pop("outcome", process.outcome)),
         **more,
-        **asdict(process.outcome),
     )
 
 

@@ -155,7 +155,8 @@ def exited(step: Reduction, said: inputs.Exited) -> None:
     is_stopping = process.phase is Phase.STOPPING or process.stopped
     is_killed = bool(process.killed_because)
     outcome = process.outcome if is_killed else outcome_of(said.exit, is_requested=is_stopping)
-    process = step.world.put(process, exit=said.exit, is_stuck=False, due=None, outcome=outcome)
+    values = {"exit": said.exit, "exit_cause": outcome.cause, "outcome": outcome}
+    process = step.world.put(process, is_stuck=False, due=None, **values)
     if process.phase in INACTIVE or process.phase in {Phase.QUEUED, Phase.BACKOFF}:
         return  # what follows was decided before
     text, code, is_process = said.exit.text, said.exit.code, process.container is None

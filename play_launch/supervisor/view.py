@@ -33,7 +33,7 @@ from play_launch.supervisor.events import (
     SubjectKind,
     Withdrawn,
 )
-from play_launch.supervisor.outcome import ENDING_SIGNALS
+from play_launch.supervisor.outcome import ENDING_SIGNALS, Cause
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
@@ -62,10 +62,12 @@ def has_ended_well(process: ProcessEvent) -> bool:
 
 
 def has_failed(process: ProcessEvent) -> bool:
-    """Whether a process exited otherwise, or is not started again."""
+    """Whether a process exited otherwise, unrequested, or is not started again."""
     if process.kind is ProcessEventKind.GAVE_UP:
         return True
-    return process.kind is ProcessEventKind.EXITED and not has_ended_well(process)
+    is_requested = process.cause is Cause.STOPPED
+    has_exited = process.kind is ProcessEventKind.EXITED
+    return has_exited and not is_requested and not has_ended_well(process)
 
 
 def is_guest(unique_id: int, attempt: int) -> bool:

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from play_launch.config.model import ComposableNodeConfig, ContainerConfig, ContainerType
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import ContainerState, ManagedState, NodeState
-from play_launch.supervisor.outcome import BLOCKED_AFTER, Outcome, RestartHistory
+from play_launch.supervisor.outcome import BLOCKED_AFTER, Cause, Outcome, RestartHistory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -141,6 +141,8 @@ class Process(_Unit, frozen=True, kw_only=True):
     """Whether its latest start has led to a process; that of an attached container has no pid."""
     exit: Exit | None = None
     """Of the latest process."""
+    exit_cause: Cause = Cause.NONE
+    """Of that; the outcome may be of what follows already."""
     stopped: bool = False
     """Whether the stop of its process has begun."""
     began_at: float = 0.0

@@ -23,6 +23,8 @@ from play_launch.recording.forms import convert
 from play_launch.recording.topics import METADATA_NAME, Topic
 from play_launch.supervisor.endpoints import Endpoint
 from play_launch.supervisor.events import (
+    ActionEvent,
+    ActionPhase,
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -139,6 +141,20 @@ class Scene:
         has_failed = fields.get("signal") or fields.get("exit_code")
         fields = {"cause": Cause.SIGNAL if has_failed else Cause.NONE} | fields
         self.events.append(ProcessEvent(stamp_ns=ns(at), kind=kind, name=name, **fields))
+
+    def asked(self, at: float, action: str, *targets: str) -> None:
+        """What an operator requested."""
+        event = ActionEvent(
+            stamp_ns=ns(at),
+            number=1,
+            action=action,
+            phase=ActionPhase.REQUESTED,
+            targets=targets,
+            uid=0,
+            pid=1,
+            command="",
+        )
+        self.events.append(event)
 
     def graph(self, at: float, appeared: str = "", vanished: str = "", **qos: int) -> None:
         """Endpoints as words: ``/lidar>/scan`` publishes, ``/slam</scan:pkg/msg/T`` subscribes."""

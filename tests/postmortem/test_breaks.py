@@ -55,8 +55,8 @@ BREAKS: Final = {
     ),
     "deaf": Break(
         Timeline._exited,
-        "is not Cause.STOP_TIMEOUT",
-        "is not None",
+        "is Cause.STOP_TIMEOUT",
+        "is None",
         lambda path: test_timeline.test_who_does_not_stop_is_deaf_and_who_does_is_fine(
             Scene(), path
         ),

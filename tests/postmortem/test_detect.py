@@ -418,3 +418,28 @@ def test_a_managed_node_that_was_not_brought_up(tmp_path: Path) -> None:
     assert finding.is_failure
     assert len(finding.last_lines) == 2
     assert [event.what for event in story.timeline.events] == ["not brought up"] * 2
+
+
+@pytest.mark.parametrize("is_dismissed", [False, True])
+def test_a_process_that_waited_to_the_end(tmp_path: Path, is_dismissed: bool) -> None:
+    scene = Scene()
+    scene.started()
+    why = "waits for a publisher of /scan"
+    scene.process(0.1, ProcessEventKind.WAITING, "/slam", message=why)
+    if is_dismissed:
+        scene.asked(5, "stop", "/slam")
+    found = scene.story(tmp_path).findings
+    assert [(each.kind, each.name, each.cause) for each in found] == [
+        ("not_started", "/slam", why)
+    ] * (not is_dismissed)
+
+
+@pytest.mark.parametrize(("cause", "signal"), [(Cause.SIGNAL, 11), (Cause.STOPPED, 2)])
+def test_a_crash_while_it_stops(tmp_path: Path, cause: Cause, signal: int) -> None:
+    scene = Scene()
+    scene.process(0, ProcessEventKind.STARTED, "/driver", pid=4)
+    scene.process(1, ProcessEventKind.STOPPING, "/driver", cause=Cause.STOPPED)
+    scene.process(2, ProcessEventKind.EXITED, "/driver", signal=signal, cause=cause)
+    found = scene.story(tmp_path).findings
+    assert [each.kind for each in found] == ["died"] * (signal == 11)
+    assert all("stopping" in each.state for each in found)

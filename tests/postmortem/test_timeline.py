@@ -167,7 +167,8 @@ def test_who_does_not_stop_is_deaf_and_who_does_is_fine(scene: Scene, tmp_path: 
         scene.process(0, ProcessEventKind.STARTED, name)
         scene.process(1, ProcessEventKind.STOPPING, name, message="the run is over")
         scene.process(2, ProcessEventKind.EXITED, name, signal=signal, cause=cause)
-    assert kinds(scene.story(tmp_path).findings) == [(Fault.STOP_TIMEOUT, "/deaf")]
+    died, deaf = (Fault.DIED, "/bad"), (Fault.STOP_TIMEOUT, "/deaf")
+    assert kinds(scene.story(tmp_path).findings) == [died, deaf]
 
 
 DEADLINE = "SIGTERM (it did not leave in time after the signal) in thread 'main'"

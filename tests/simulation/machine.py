@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
     from .processes import Proc
 
+START: Final = 1_700_000_000_000_000_000
+"""Nanoseconds since the epoch at which a life begins."""
+_BEGIN: Final = 1000.0
 MOST_STEPS: Final = 4000
 """Inputs of one life; more are a loop."""
 QUIET: Final = 900.0
@@ -44,10 +47,13 @@ class Machine:
 
     def __init__(self, seed: int, without: Collection[str] = ()) -> None:
         self.chance = Chance(seed, without)
-        self.now = 1000.0
+        self.now = _BEGIN
         self.config = systems.system(random.Random(seed))
         self.world = World(self.config, starts=self.chance.choice((1, 2, 16), "starts"))
+        self.events: list[RunEvent] = []
         self.view = SystemView()
+        self.exit_code = 0
+        """Of a system that was stopped."""
         self.trace: list[tuple[float, said.Input, list[said.Effect]]] = []
         self.met: set[tuple[Condition, str, str]] = set()
         """Files and topics that are there, and lines that were written."""
@@ -111,7 +117,7 @@ class Machine:
         before = Snapshot(dict(world.processes), dict(world.nodes), dict(world.goals))
         self.checks.before(one)
         effects = reduce(self.world, one, self.now, self.chance.number("jitter"))
-        events = list(events_since(self.world, now=self.now, stamp_ns=0))
+        events = self._events()
         self.publish(events)
         self.trace.append((self.now, one, effects))
         if self.steps > MOST_STEPS:
@@ -134,12 +140,21 @@ class Machine:
             text = f"{changed} {effects}"
             raise invariants.BrokenError("nothing is forgotten", text, tuple(map(str, changed)))
 
+    @property
+    def stamp_ns(self) -> int:
+        """What the clock on the wall says."""
+        return START + round((self.now - _BEGIN) * 1e9)
+
+    def _events(self) -> list[RunEvent]:
+        return list(events_since(self.world, now=self.now, stamp_ns=self.stamp_ns))
+
     def publish(self, events: list[RunEvent]) -> None:
+        self.events += events
         for event in events:
             self.view = self.view.after(event)
 
     def begin(self) -> None:
-        self.publish(list(events_since(self.world, now=self.now, stamp_ns=0)))
+        self.publish(self._events())
         self.post(said.Time())
 
     def is_unlucky(self, times: float, what: str) -> bool:

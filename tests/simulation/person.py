@@ -68,7 +68,7 @@ class Person:
 
     def _note(self, action: str, targets: tuple[str, ...]) -> None:
         event = ActionEvent(
-            stamp_ns=0,
+            stamp_ns=self._machine.stamp_ns,
             number=1,
             action=action,
             phase=ActionPhase.REQUESTED,

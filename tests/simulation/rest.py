@@ -286,6 +286,7 @@ class RestChecks:
         if machine.person.target is not None:
             raise BrokenError("a change comes to its end", str(machine.world.change))
         code, expected = exit_code(before, machine.view, None), before.expected
+        machine.exit_code = code
         if code == ExitCode.OK:
             down = [
                 each.name

@@ -1,11 +1,17 @@
-"""A fixed set of seeds: at least 200,000 inputs, and no invariant breaks."""
+"""A fixed set of seeds: at least 200,000 inputs, no invariant breaks, and `explain` agrees."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final
 
 import pytest
 
+from play_launch import ExitCode
+from play_launch.postmortem.findings import is_wrong
+from tests.postmortem.scenes import Scene, story_of
+
+from .machine import Machine, lived
 from .search import report, searched, shortened
 
 SHARES: Final = 16
@@ -29,3 +35,16 @@ def test_no_invariant_breaks(share: int) -> None:
 def test_what_broke_once_holds(seed: int) -> None:
     _, found = searched(range(seed, seed + 1))
     assert found is None, found.text
+
+
+@pytest.mark.parametrize("first", range(0, 200, 25))
+def test_a_run_that_ended_with_a_failure_is_explained(first: int, tmp_path: Path) -> None:
+    failed = 0
+    for seed in range(first, first + 25):
+        machine = lived(Machine(seed))
+        if machine.exit_code != ExitCode.NODE_FAILED:
+            continue
+        failed += 1
+        path = Scene(events=machine.events).record(tmp_path / f"{seed}.mcap")
+        assert is_wrong(story_of(path).findings), f"seed {seed}"
+    assert failed > 5

@@ -35,8 +35,20 @@ def _missing(timeline: Timeline) -> Iterator[Finding]:
     failed = {each.key for each in timeline.failures}
     for unit in timeline.units:
         state = unit.state
-        if unit.failure or unit.key in failed or unit.is_withdrawn:
+        is_dismissed = unit.key in timeline.operated.dismissed
+        if unit.failure or unit.key in failed or unit.is_withdrawn or is_dismissed:
             continue
+        is_waiting = state is ProcessEventKind.WAITING or (unit.waited and not unit.begun_ns)
+        if unit.kind is not SubjectKind.NODE and is_waiting and unit.changes:
+            yield Finding(
+                kind="not_started",
+                rank=2,
+                says="was not started: it waited, from {at} to the end",
+                name=unit.name,
+                key=unit.key,
+                times_ns=(unit.changes[0][0],),
+                cause=unit.waited or unit.reason,
+            )
         if state in _GAVE_UP and unit.changes:
             yield Finding(
                 kind="not_started",
