@@ -55,7 +55,7 @@ from play_launch.supervisor.events import (
     Withdrawn,
 )
 from play_launch.supervisor.outcome import Cause, Sequel
-from play_launch.supervisor.view import SystemView, is_guest
+from play_launch.supervisor.view import SystemView, has_ended_well, is_guest
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -255,7 +255,7 @@ class Timeline:
         if event.state is NodeState.LOADING and is_repeated and event.reason:
             slow = Failure.of_node(Fault.SLOW, event, unit, at_ns)
             self._add(slow, unit, "").cause = event.reason  # the latest one has the longest time
-        unit.note_block(event, at_ns, self.lines)
+        unit.note_node(event, container, at_ns, self.lines)
         self._arrive(event, unit, at_ns)
         match event.state:
             case NodeState.LOADED if not is_repeated:
@@ -378,7 +378,8 @@ class Timeline:
         """Take the end of a process; return whether it is one that was not wanted."""
         was, since_ns = unit.phase, unit.since_ns
         unit.phase, unit.since_ns = "exited", event.stamp_ns
-        if was == "killed" or (event.exit_code == 0 and event.signal == 0):
+        may_end = unit.is_stopping or unit.kind is SubjectKind.PROCESS  # a container never is done
+        if was == "killed" or (may_end and has_ended_well(event)):
             return was == "killed"
         fault = Fault.DIED
         if unit.is_stopping:
@@ -407,9 +408,8 @@ class Timeline:
         if known is None:
             known = self._known[same] = failure
             self.failures.append(failure)
-            failure.before = self.samples.before(
-                failure.key, failure.name, failure.pid, failure.log_time
-            )
+            key, at_ns = failure.key, failure.log_time
+            failure.before = self.samples.before(key, failure.name, failure.pid, at_ns)
             if parameters := self.parameters.nodes.get(failure.name):
                 failure.parameters = parameters.of_life(failure.since_ns) or None
             self.lines.request(failure)

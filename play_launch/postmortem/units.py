@@ -245,6 +245,8 @@ class Unit(Struct, kw_only=True):
     """When a node was loaded first."""
     active_ns: int = 0
     """Log time when a managed node was active first."""
+    left_ns: int = 0
+    """When another program, or it itself, unloaded a node that was not loaded since; else 0."""
     blocks: list[Block] = field(default_factory=list)
     """Of the executor of a node."""
 
@@ -253,8 +255,14 @@ class Unit(Struct, kw_only=True):
         """Whether more than its samples and output is recorded."""
         return self.state is not None or self.kind is SubjectKind.CONTAINER
 
-    def note_block(self, event: NodeStateChanged, at_ns: int, lines: LastLines) -> None:
-        """Note whether its executor is blocked from now on, or not any more."""
+    def note_node(
+        self, event: NodeStateChanged, container: Unit, at_ns: int, lines: LastLines
+    ) -> None:
+        """Note whether it left unrequested, and its executor is blocked, from now on."""
+        if event.state is not NodeState.UNLOADED:
+            self.left_ns = 0
+        elif self.state is NodeState.LOADED and not container.is_stopping:
+            self.left_ns = event.stamp_ns
         is_open = bool(self.blocks) and not self.blocks[-1].end_ns
         if event.cause is not Cause.BLOCKED:
             if is_open:

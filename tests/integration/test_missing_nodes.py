@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.replay import Replay, replaying
+from tests.support.replay import Replay, replaying, run
 from tests.support.ros import Probe
 from tests.support.scenes import container, ending, node, written
 
@@ -100,6 +100,7 @@ def unloaded(replay: Replay, name: str) -> dict[str, Any]:
 def test_the_exit_code_says_that_something_is_missing(runs: dict[str, Replay], name: str) -> None:
     replay = runs[name]
     assert replay.seen[-1]["exit_code"] == replay.process.returncode == 3
+    assert f"/{name}" in run("explain", replay.bag, code=1).stdout
 
 
 @pytest.mark.parametrize("name", ["unloaded_standard", "unloaded_isolated"])

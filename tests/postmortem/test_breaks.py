@@ -20,10 +20,10 @@ from play_launch.postmortem.detect import (
 )
 from play_launch.postmortem.samples import _is_busy
 from play_launch.postmortem.timeline import Timeline
-from play_launch.postmortem.units import Fault
+from play_launch.postmortem.units import Fault, Unit
 from play_launch.supervisor.endpoints import Mismatch
 from play_launch.supervisor.events import NodeState
-from tests.postmortem import test_detect, test_timeline
+from tests.postmortem import test_detect, test_missing, test_timeline
 from tests.postmortem.scenes import Scene
 from tests.support.breaks import rewrite
 
@@ -63,8 +63,8 @@ BREAKS: Final = {
     ),
     "died": Break(
         Timeline._exited,
-        "and event.signal == 0",
-        "",
+        "fault = Fault.DIED",
+        "fault = Fault.KILLED",
         lambda path: test_timeline.test_who_was_hit_by_the_death_of_a_container(Scene(), path),
     ),
     "disk_full": Break(
@@ -141,6 +141,12 @@ BREAKS: Final = {
         "later > _LATER",
         lambda path: test_detect.test_a_late_bring_up_with_its_critical_chain(path, 31, True),
     ),
+    "left": Break(
+        Unit.note_node,
+        "not container.is_stopping",
+        "container.is_stopping",
+        lambda path: test_missing.test_a_node_that_was_unloaded(path, "another program"),
+    ),
     "load_failed": Break(
         Timeline._node,
         "NodeState.CRASHED | NodeState.LOAD_FAILED if",
@@ -153,7 +159,7 @@ BREAKS: Final = {
         Timeline.fold,
         "state=ManagedState.FAILED",
         "state=ManagedState.FINALIZED",
-        test_detect.test_a_managed_node_that_was_not_brought_up,
+        test_missing.test_a_managed_node_that_was_not_brought_up,
     ),
     "not_loaded": Break(
         bring_up._missing,

@@ -14,7 +14,6 @@ from play_launch.supervisor.events import (
     ExpectationChanged,
     MachineChanged,
     MachineState,
-    ManagedState,
     NodeState,
     ProcessEventKind,
 )
@@ -391,47 +390,13 @@ def test_an_executor_that_was_blocked_in_a_callback(tmp_path: Path, returns: boo
         scene.node(75, "/slam", NodeState.LOADED, cause=Cause.BLOCKED, reason="its executor ...")
         scene.node(80, "/slam", NodeState.LOADED)
     else:
-        scene.node(46, "/slam", NodeState.UNLOADED)
+        scene.node(46, "/slam", NodeState.UNLOADING)
     (finding,) = scene.story(tmp_path).findings
     assert (finding.kind, finding.key, finding.is_failure) == ("blocked", "/box:/slam", not returns)
     assert finding.times_ns == ((ns(6), ns(65)) if returns else (ns(6),))
     how = "it returned after 34 s" if returns else "it had not returned after 40 s"
     assert finding.cause == f"one callback kept its executor from everything else; {how}"
     assert finding.last_lines == ("[INFO] [1.0] [slam]: optimising",)
-
-
-def test_a_managed_node_that_was_not_brought_up(tmp_path: Path) -> None:
-    scene = Scene()
-    scene.started()
-    scene.node(0.5, "/lidar", NodeState.LOADED)
-    scene.managed(0.6, "/box:/lidar", ManagedState.CONFIGURING)
-    scene.line(0.9, "[ERROR] [1.0] [lidar]: no such port")
-    why = "its transition configure failed"
-    scene.managed(1, "/box:/lidar", ManagedState.FAILED, why)
-    scene.line(1.1, "[ERROR] [1.1] [lidar]: given up")
-    scene.managed(20, "/box:/lidar", ManagedState.FAILED, why)
-    story = scene.story(tmp_path)
-    (finding,) = story.findings
-    assert (finding.kind, finding.key, finding.cause) == ("not_brought_up", "/box:/lidar", why)
-    text = "/lidar in /box was not brought up as a managed node 2 times, first at 1.000 s after"
-    assert headline(finding, ns(0)) == f"{text} the start."
-    assert finding.is_failure
-    assert len(finding.last_lines) == 2
-    assert [event.what for event in story.timeline.events] == ["not brought up"] * 2
-
-
-@pytest.mark.parametrize("is_dismissed", [False, True])
-def test_a_process_that_waited_to_the_end(tmp_path: Path, is_dismissed: bool) -> None:
-    scene = Scene()
-    scene.started()
-    why = "waits for a publisher of /scan"
-    scene.process(0.1, ProcessEventKind.WAITING, "/slam", message=why)
-    if is_dismissed:
-        scene.asked(5, "stop", "/slam")
-    found = scene.story(tmp_path).findings
-    assert [(each.kind, each.name, each.cause) for each in found] == [
-        ("not_started", "/slam", why)
-    ] * (not is_dismissed)
 
 
 @pytest.mark.parametrize(("cause", "signal"), [(Cause.SIGNAL, 11), (Cause.STOPPED, 2)])

@@ -49,6 +49,19 @@ def _missing(timeline: Timeline) -> Iterator[Finding]:
                 times_ns=(unit.changes[0][0],),
                 cause=unit.waited or unit.reason,
             )
+        # With its container, it did not leave alone.
+        if unit.left_ns and timeline.of_name(unit.container).failure is None:
+            yield Finding(
+                kind="left",
+                rank=2,
+                says="was unloaded {when}, by another program or itself, and not loaded again",
+                name=unit.name,
+                key=unit.key,
+                times_ns=(unit.left_ns,),
+                cause=unit.reason,
+                place=DeclaredPlace(container=unit.container),
+                last_lines=timeline.last_lines(unit),
+            )
         if state in _GAVE_UP and unit.changes:
             yield Finding(
                 kind="not_started",

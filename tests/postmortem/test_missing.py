@@ -1,0 +1,71 @@
+"""What did not come up, or left: managed nodes, units that waited, nodes that others unloaded."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from play_launch.cli.explain import headline
+from play_launch.supervisor.events import ManagedState, NodeState, ProcessEventKind
+from play_launch.supervisor.outcome import Cause
+from tests.postmortem.scenes import Scene, ns
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_a_managed_node_that_was_not_brought_up(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(0.5, "/lidar", NodeState.LOADED)
+    scene.managed(0.6, "/box:/lidar", ManagedState.CONFIGURING)
+    scene.line(0.9, "[ERROR] [1.0] [lidar]: no such port")
+    why = "its transition configure failed"
+    scene.managed(1, "/box:/lidar", ManagedState.FAILED, why)
+    scene.line(1.1, "[ERROR] [1.1] [lidar]: given up")
+    scene.managed(20, "/box:/lidar", ManagedState.FAILED, why)
+    story = scene.story(tmp_path)
+    (finding,) = story.findings
+    assert (finding.kind, finding.key, finding.cause) == ("not_brought_up", "/box:/lidar", why)
+    text = "/lidar in /box was not brought up as a managed node 2 times, first at 1.000 s after"
+    assert headline(finding, ns(0)) == f"{text} the start."
+    assert finding.is_failure
+    assert len(finding.last_lines) == 2
+    assert [event.what for event in story.timeline.events] == ["not brought up"] * 2
+
+
+@pytest.mark.parametrize("is_dismissed", [False, True])
+def test_a_process_that_waited_to_the_end(tmp_path: Path, is_dismissed: bool) -> None:
+    scene = Scene()
+    scene.started()
+    why = "waits for a publisher of /scan"
+    scene.process(0.1, ProcessEventKind.WAITING, "/slam", message=why)
+    if is_dismissed:
+        scene.asked(5, "stop", "/slam")
+    found = scene.story(tmp_path).findings
+    assert [(each.kind, each.name, each.cause) for each in found] == [
+        ("not_started", "/slam", why)
+    ] * (not is_dismissed)
+
+
+@pytest.mark.parametrize(
+    "by", ["another program", "play-launch", "a stop of its container", "the end of its container"]
+)
+def test_a_node_that_was_unloaded(tmp_path: Path, by: str) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(0.5, "/slam", NodeState.LOADED)
+    if by == "play-launch":
+        scene.node(2, "/slam", NodeState.UNLOADING)
+    if by == "a stop of its container":
+        scene.process(2, ProcessEventKind.STOPPING, cause=Cause.STOPPED)
+    scene.node(3, "/slam", NodeState.UNLOADED, reason="not at the supervisor's request")
+    if by == "the end of its container":
+        scene.process(3.1, ProcessEventKind.EXITED)
+    found = scene.story(tmp_path).findings
+    expected = {
+        "another program": [("left", "/slam")],
+        "the end of its container": [("died", "/box")],
+    }
+    assert [(each.kind, each.name) for each in found] == expected.get(by, [])
