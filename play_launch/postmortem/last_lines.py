@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from play_launch.postmortem.bag_reader import ChannelInfo
-    from play_launch.postmortem.units import Failure
+    from play_launch.postmortem.units import Failure, Unit
 
 MOST: Final = 20
 _QOS: Final = b"incompatible QoS"
@@ -115,6 +115,10 @@ class LastLines:
         while self._waiting and self._waiting[0][0] < before:
             until, _, failure = heapq.heappop(self._waiting)
             failure.last_lines = self.of(failure.container, failure.name, until)
+
+    def of_unit(self, unit: Unit) -> tuple[str, ...]:
+        """Give the latest lines of a unit up to its latest change of state."""
+        return self.of(unit.container, unit.name, unit.since_ns + LATE_LINES)
 
     def qos_reports(self) -> Iterator[tuple[int, str]]:
         """Give the warnings about incompatible QoS, each with its log time."""

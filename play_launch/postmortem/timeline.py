@@ -14,7 +14,7 @@ from play_launch.postmortem.connections import Connections
 from play_launch.postmortem.diagnostics import TYPE as DIAGNOSTICS_TYPE
 from play_launch.postmortem.diagnostics import Diagnostics
 from play_launch.postmortem.events import UnreadableEventError
-from play_launch.postmortem.last_lines import LATE_LINES, LastLines
+from play_launch.postmortem.last_lines import LastLines
 from play_launch.postmortem.parameters import TOPICS as PARAMETER_TOPICS
 from play_launch.postmortem.parameters import Parameters
 from play_launch.postmortem.records import Runs
@@ -311,6 +311,8 @@ class Timeline:
                 unit.is_stopping, unit.phase, unit.since_ns = True, "stopping", event.stamp_ns
             case ProcessEventKind.EXITED:
                 is_failure = self._exited(event, unit, at_ns)
+            case ProcessEventKind.WAITING:
+                unit.waited = unit.waited or event.message
             case ProcessEventKind.RESTARTING if unit.failure is not None:
                 unit.failure.follow(event.sequel, event.delay_ns)
             case ProcessEventKind.GAVE_UP:
@@ -431,10 +433,6 @@ class Timeline:
         """Count the containers, nodes and processes that were not taken out of the system."""
         known = [each.kind for each in self.units if each.is_known and not each.is_withdrawn]
         return {kind.name.lower(): known.count(kind) for kind in _SIZED}
-
-    def last_lines(self, unit: Unit) -> tuple[str, ...]:
-        """Give the last lines of a unit up to its latest change of state."""
-        return self.lines.of(unit.container, unit.name, unit.since_ns + LATE_LINES)
 
 
 def read_timeline(path: Path, *, only_failures: bool = False) -> Timeline:

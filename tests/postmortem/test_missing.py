@@ -43,6 +43,7 @@ def test_a_process_that_waited_to_the_end(tmp_path: Path, is_dismissed: bool) ->
     scene.process(0.1, ProcessEventKind.WAITING, "/slam", message=why)
     if is_dismissed:
         scene.asked(5, "stop", "/slam")
+    scene.process(9, ProcessEventKind.STOPPED, "/slam", message="signal 2")
     found = scene.story(tmp_path).findings
     assert [(each.kind, each.name, each.cause) for each in found] == [
         ("not_started", "/slam", why)

@@ -54,6 +54,7 @@ class Machine:
         self.view = SystemView()
         self.exit_code = 0
         """Of a system that was stopped."""
+        self.before_stop = self.view
         self.trace: list[tuple[float, said.Input, list[said.Effect]]] = []
         self.met: set[tuple[Condition, str, str]] = set()
         """Files and topics that are there, and lines that were written."""

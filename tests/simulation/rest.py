@@ -286,7 +286,7 @@ class RestChecks:
         if machine.person.target is not None:
             raise BrokenError("a change comes to its end", str(machine.world.change))
         code, expected = exit_code(before, machine.view, None), before.expected
-        machine.exit_code = code
+        machine.exit_code, machine.before_stop = code, before
         if code == ExitCode.OK:
             down = [
                 each.name

@@ -9,6 +9,7 @@ import pytest
 
 from play_launch import ExitCode
 from play_launch.postmortem.findings import is_wrong
+from play_launch.supervisor.events import ContainerState
 from tests.postmortem.scenes import Scene, story_of
 
 from .machine import Machine, lived
@@ -38,11 +39,14 @@ def test_what_broke_once_holds(seed: int) -> None:
 
 
 @pytest.mark.parametrize("first", range(0, 200, 25))
-def test_a_run_that_ended_with_a_failure_is_explained(first: int, tmp_path: Path) -> None:
+def test_a_run_with_failures_or_missing_units_is_explained(first: int, tmp_path: Path) -> None:
     failed = 0
     for seed in range(first, first + 25):
         machine = lived(Machine(seed))
-        if machine.exit_code != ExitCode.NODE_FAILED:
+        containers = machine.before_stop.containers.values()
+        is_early = any(each.state is ContainerState.STARTING for each in containers)
+        is_missing = machine.exit_code == ExitCode.NODES_MISSING and not is_early
+        if machine.exit_code != ExitCode.NODE_FAILED and not is_missing:
             continue
         failed += 1
         path = Scene(events=machine.events).record(tmp_path / f"{seed}.mcap")

@@ -38,8 +38,7 @@ def _missing(timeline: Timeline) -> Iterator[Finding]:
         is_dismissed = unit.key in timeline.operated.dismissed
         if unit.failure or unit.key in failed or unit.is_withdrawn or is_dismissed:
             continue
-        is_waiting = state is ProcessEventKind.WAITING or (unit.waited and not unit.begun_ns)
-        if unit.kind is not SubjectKind.NODE and is_waiting and unit.changes:
+        if unit.kind is not SubjectKind.NODE and unit.waited and not unit.begun_ns:
             yield Finding(
                 kind="not_started",
                 rank=2,
@@ -47,7 +46,7 @@ def _missing(timeline: Timeline) -> Iterator[Finding]:
                 name=unit.name,
                 key=unit.key,
                 times_ns=(unit.changes[0][0],),
-                cause=unit.waited or unit.reason,
+                cause=unit.waited,
             )
         # With its container, it did not leave alone.
         if unit.left_ns and timeline.of_name(unit.container).failure is None:
@@ -60,7 +59,7 @@ def _missing(timeline: Timeline) -> Iterator[Finding]:
                 times_ns=(unit.left_ns,),
                 cause=unit.reason,
                 place=DeclaredPlace(container=unit.container),
-                last_lines=timeline.last_lines(unit),
+                last_lines=timeline.lines.of_unit(unit),
             )
         if state in _GAVE_UP and unit.changes:
             yield Finding(
@@ -86,7 +85,7 @@ def _missing(timeline: Timeline) -> Iterator[Finding]:
             place=DeclaredPlace(container=unit.container),
             state=str(state),
             since_ns=unit.since_ns,
-            last_lines=timeline.last_lines(unit),
+            last_lines=timeline.lines.of_unit(unit),
         )
 
 
