@@ -59,7 +59,7 @@ class Fault(StrEnum):
     LOAD_FAILED = "load_failed"
     KILLED = "killed"
     """The supervisor killed a container."""
-    STOP_TIMEOUT = "deaf"
+    STOP_TIMEOUT = "stop_timeout"
     """It did not end when it was requested to, and was killed."""
     SLOW = "slow"
     """A constructor took longer than `loading_timeout`."""

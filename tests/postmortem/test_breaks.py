@@ -53,7 +53,7 @@ BREAKS: Final = {
         "event.state is NodeState.LOST",
         lambda path: test_timeline.test_equal_crashes_are_one_finding_with_all_times(Scene(), path),
     ),
-    "deaf": Break(
+    "stop_timeout": Break(
         Timeline._exited,
         "is Cause.STOP_TIMEOUT",
         "is None",
