@@ -40,6 +40,7 @@ from play_launch.supervisor.events import (
     SystemSample,
     Withdrawn,
 )
+from play_launch.supervisor.outcome import Cause
 from play_launch.supervisor.view import is_guest
 
 OWN_NAME = "play-launch"
@@ -85,7 +86,8 @@ def words_of(event: RunEvent) -> EventText:
     """Word an event; the text may have several lines."""
     match event:
         case NodeStateChanged():
-            level = WARN if event.state is NodeState.UNLOADED and event.reason else INFO
+            has_left = event.state is NodeState.UNLOADED and event.reason
+            level = WARN if has_left or event.cause is Cause.BLOCKED else INFO
             return EventText(_level(event.state, level), event.container, _node(event))
         case ContainerStateChanged():
             text = because(event.state.value, event.reason)
@@ -144,6 +146,8 @@ def words_of(event: RunEvent) -> EventText:
 def _node(event: NodeStateChanged) -> str:
     if event.state is NodeState.PENDING and event.reason:
         return f"{event.node} {event.reason}"
+    if event.cause in {Cause.BLOCKED, Cause.RETURNED}:
+        return f"{event.node}: {event.reason}"
     seconds = f" after {event.elapsed_ns / 1e9:.1f} s" if event.elapsed_ns else ""
     again = " again" if event.reloads else ""
     pid = f", pid {event.pid}" if event.pid else ""

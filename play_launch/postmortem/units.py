@@ -267,7 +267,7 @@ class Unit(Struct, kw_only=True):
         if event.cause is not Cause.BLOCKED:
             if is_open:
                 self.blocks[-1].end_ns = at_ns
-                self.blocks[-1].has_returned = event.state is NodeState.LOADED
+                self.blocks[-1].has_returned = event.cause is Cause.RETURNED
         elif not is_open and len(self.blocks) < MOST_TIMES:
             before = round(BLOCKED_AFTER * 1e9)
             last = lines.of(self.container, self.name, at_ns)

@@ -182,6 +182,8 @@ def _node(old: Node | None, new: Node, now: float, stamp_ns: int) -> Iterator[Ru
     if not has_changed and not text:
         return
     elapsed = now - new.sent_at if new.state in _TIMED and new.attempt else 0.0
+    if new.state is NodeState.LOADED and new.took is not None:
+        elapsed = new.took  # also when something else is reported later
     yield NodeStateChanged(
         stamp_ns=stamp_ns,
         key=new.key,

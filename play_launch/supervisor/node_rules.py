@@ -271,7 +271,7 @@ def container_stops(step: Reduction, container: Process) -> None:
 def container_lost(step: Reduction, container: Process, reason: str) -> None:
     outcome = Outcome(Cause.CONTAINER_EXITED, Sequel.NONE, 0, container.name)
     for before in step.world.nodes_of(container.name):
-        values = {"gives_up": "", "died_constructing": "", "is_silent": False}
+        values = {"gives_up": "", "died_constructing": "", "blocked_since": None}
         node = step.world.put(before, next_at=None, **values)
         why = f"its container: {reason}"
         _apply(step, node, NodeFact.CONTAINER_LOST, reason=why, outcome=outcome)
@@ -329,17 +329,21 @@ def _check_for_lost_lock(step: Reduction, node: Node) -> None:
 
 def _silence(step: Reduction, node: Node, seconds: float) -> None:
     """Report once that an executor has been blocked for long, and that it is not any more."""
-    is_loaded = node.state is NodeState.LOADED
-    is_silent = is_loaded and seconds >= step.world.limits.silence
-    if is_silent == node.is_silent:
+    is_loaded, since = node.state is NodeState.LOADED, node.blocked_since
+    is_blocked = is_loaded and seconds >= step.world.limits.silence
+    if is_blocked == (since is not None):
         return
-    reason = ""
-    if is_silent:
+    if not is_loaded:
+        step.world.put(node, blocked_since=None)
+        return
+    if since is None:
         reason = f"its executor has been blocked in a callback for {seconds:.0f} s"
+        values = {"blocked_since": step.now - seconds, "outcome": Outcome(Cause.BLOCKED)}
         step.log(f"{node.name}: {reason}")
-    outcome = Outcome(Cause.BLOCKED if is_silent else Cause.NONE)
-    values = {"reason": reason, "outcome": outcome} if is_loaded else {}
-    step.world.put(node, is_silent=is_silent, reports=node.reports + is_loaded, **values)
+    else:
+        reason = f"its executor was blocked in a callback for {step.now - since:.0f} s, and goes on"
+        values = {"blocked_since": None, "outcome": Outcome(Cause.RETURNED)}
+    step.world.put(node, reason=reason, reports=node.reports + 1, **values)
 
 
 # What is wanted against what is.

@@ -65,6 +65,8 @@ class Cause(IntEnum):
     """Not started or loaded: its conditions cannot be met, or a load was fatal before."""
     BLOCKED = 14
     """It is loaded; its executor has been in one callback for `BLOCKED_AFTER` seconds."""
+    RETURNED = 15
+    """Its executor has left that callback."""
 
 
 class Sequel(IntEnum):

@@ -237,8 +237,8 @@ class Node(_Unit, frozen=True, kw_only=True):
     """How its constructor died in this process of the container; empty: it did not."""
     has_renewed: bool = False
     """Whether its container was restarted for it, and it has not been loaded since."""
-    is_silent: bool = False
-    """Whether its executor is reported as blocked."""
+    blocked_since: float | None = None
+    """Since when its executor is in the callback that is reported as blocking it."""
     stage: Stage = Stage.TRUSTED
     deaths: int = 0
     """Deaths of its container during its load, since the last load that the container survived."""

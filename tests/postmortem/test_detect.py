@@ -386,9 +386,9 @@ def test_an_executor_that_was_blocked_in_a_callback(tmp_path: Path, returns: boo
     scene.line(5, "[INFO] [1.0] [slam]: optimising")
     scene.node(16, "/slam", NodeState.LOADED, cause=Cause.BLOCKED, reason="its executor ...")
     if returns:
-        scene.node(40, "/slam", NodeState.LOADED)
+        scene.node(40, "/slam", NodeState.LOADED, cause=Cause.RETURNED)
         scene.node(75, "/slam", NodeState.LOADED, cause=Cause.BLOCKED, reason="its executor ...")
-        scene.node(80, "/slam", NodeState.LOADED)
+        scene.node(80, "/slam", NodeState.LOADED, cause=Cause.RETURNED)
     else:
         scene.node(46, "/slam", NodeState.UNLOADING)
     (finding,) = scene.story(tmp_path).findings

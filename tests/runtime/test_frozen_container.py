@@ -10,12 +10,14 @@ from msgspec.structs import replace
 from play_launch.config.model import ContainerType
 from play_launch.config.node_key import NodeKey
 from play_launch.container.messages import Hello, Query, Status
+from play_launch.control.event_words import words_of
 from play_launch.process.processor_wait import ProcessorWait
 from play_launch.runtime import watch
 from play_launch.runtime.system import System
 from play_launch.runtime.watch import INTERVAL, TIMEOUT, WANT
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEvent, ProcessEventKind
 from play_launch.supervisor.inputs import HealthReported, Input
+from play_launch.supervisor.outcome import Cause
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, system
 from .jumping_loop import run
@@ -274,7 +276,11 @@ async def test_a_node_that_stays_in_its_callbacks_is_told_once_and_left_alone(
             )
             fake.busy_since = None
             await asyncio.sleep(10)
-            assert sys.view.containers["/c"].nodes[NodeKey("/c", "/a")].reason == ""
+            node = sys.view.containers["/c"].nodes[NodeKey("/c", "/a")]
+            assert node.reason == "its executor was blocked in a callback for 60 s, and goes on"
+            assert node.cause is Cause.RETURNED
+            assert words_of(node).text == f"/a: {node.reason}"
+            assert node.elapsed_ns == 0, "the load took no time"
         assert len(sys.launcher.containers["/c"]) == 1
     warnings = [r.getMessage() for r in caplog.records if "blocked in a callback" in r.getMessage()]
     assert len(warnings) == 2
