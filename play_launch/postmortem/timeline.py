@@ -356,7 +356,7 @@ class Timeline:
 
     def _gave_up(self, unit: Unit, reason: str, at_ns: int) -> None:
         if unit.failure is not None:
-            why = reason.removeprefix(unit.reason).removeprefix("; ")
+            why = reason.removeprefix(unit.reason).lstrip(";: ")
             why = reason.rpartition("; ")[2] if why in {"", reason} else why
             unit.failure.follow(Sequel.GAVE_UP, 0, why)
         self._event(FailureEvent(unit, at_ns, None, reason))

@@ -160,6 +160,7 @@ class Failure(Struct, kw_only=True):
             log_time=at_ns,
             cause=event.reason,
             pid=unit.pid,
+            state=unit.state.value if isinstance(unit.state, StrEnum) else unit.phase,
             since_ns=unit.since_ns,
         )
 

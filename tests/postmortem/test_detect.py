@@ -235,6 +235,17 @@ def test_a_process_that_cannot_be_started(tmp_path: Path) -> None:
     assert text_of(finding) == (what, "Cause: cannot start driver: no file.")
 
 
+def test_a_program_that_cannot_be_executed(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.process(0, ProcessEventKind.STARTED, "/driver", pid=4)
+    died = "exited with status 126"
+    scene.process(1, ProcessEventKind.EXITED, "/driver", exit_code=126, message=died)
+    why = f"{died}: its program cannot be executed"
+    scene.process(1, ProcessEventKind.GAVE_UP, "/driver", message=why)
+    (finding,) = scene.story(tmp_path).findings
+    assert finding.done == ("gave up: its program cannot be executed",)
+
+
 def test_publishers_and_subscriptions_that_do_not_match(tmp_path: Path) -> None:
     scene = Scene()
     for at, report in (

@@ -30,7 +30,7 @@ def test_a_managed_node_that_was_not_brought_up(tmp_path: Path) -> None:
     assert (finding.kind, finding.key, finding.cause) == ("not_brought_up", "/box:/lidar", why)
     text = "/lidar in /box was not brought up as a managed node 2 times, first at 1.000 s after"
     assert headline(finding, ns(0)) == f"{text} the start."
-    assert finding.is_failure
+    assert (finding.is_failure, finding.state) == (True, "loaded")
     assert len(finding.last_lines) == 2
     assert [event.what for event in story.timeline.events] == ["not brought up"] * 2
 
