@@ -30,6 +30,8 @@ MOST_LOGGERS: Final = 500
 """Of a process, whose lines are kept: names of loggers may have numbers that count up."""
 LATE_LINES: Final = 200_000_000
 """Nanoseconds that the last lines of a process may take to the recording."""
+_EARLY: Final = 10_000_000
+"""Nanoseconds that the first ones may be there before the event of its start."""
 _NAME_AT: Final = 20
 """Where the first string stands, behind encapsulation, stamp, level and its length."""
 _LOGGER_WITHIN: Final = 400
@@ -105,7 +107,7 @@ class LastLines:
         if any(each[2] is failure for each in self._waiting):
             self._waiting = [each for each in self._waiting if each[2] is not failure]
             heapq.heapify(self._waiting)
-            failure.last_lines = self.of(failure.container, failure.name, math.inf)
+            self._give(failure, math.inf)
 
     def end(self) -> None:
         """Give all failures their last lines: none comes any more."""
@@ -114,7 +116,11 @@ class LastLines:
     def _answer(self, before: float) -> None:
         while self._waiting and self._waiting[0][0] < before:
             until, _, failure = heapq.heappop(self._waiting)
-            failure.last_lines = self.of(failure.container, failure.name, until)
+            self._give(failure, until)
+
+    def _give(self, failure: Failure, until: float) -> None:
+        since = failure.life_ns - _EARLY
+        failure.last_lines = self.of(failure.container, failure.name, until, since)
 
     def of_unit(self, unit: Unit) -> tuple[str, ...]:
         """Give the latest lines of a unit up to its latest change of state."""
@@ -124,7 +130,7 @@ class LastLines:
         """Give the warnings about incompatible QoS, each with its log time."""
         return ((log_time, _text(data)) for log_time, data in self._qos)
 
-    def of(self, container: str, name: str, until_ns: float) -> tuple[str, ...]:
+    def of(self, container: str, name: str, until_ns: float, since_ns: int = 0) -> tuple[str, ...]:
         """Give the latest lines of a unit up to a moment; ``container`` is empty but for nodes.
 
         Of a node these are those of its loggers, and those of its container that name none.
@@ -136,7 +142,7 @@ class LastLines:
             for logger, ring in rings.items()
             if not (container and logger) or logger == own or logger.startswith(own + b".")
             for line in ring
-            if line[0] <= until_ns
+            if since_ns <= line[0] <= until_ns
         ]
         lines.sort(key=itemgetter(0))
         return tuple(filter(None, (_text(data) for _, data in lines[-MOST:])))

@@ -274,6 +274,8 @@ class Timeline:
             unit.since_ns = event.stamp_ns
 
     def _arrive(self, event: NodeStateChanged, unit: Unit, at_ns: int) -> None:
+        if event.state is NodeState.REQUESTED:
+            unit.life_ns = at_ns
         if event.state is NodeState.LOADED:
             unit.loaded_ns = unit.loaded_ns or event.stamp_ns
         if unit.arrival is not None:
@@ -300,7 +302,7 @@ class Timeline:
                 if unit.failure is not None:
                     self.lines.settle(unit.failure)
                 unit.is_stopping = False
-                unit.begun_ns = unit.begun_ns or at_ns
+                unit.begun_ns, unit.life_ns = unit.begun_ns or at_ns, at_ns
                 if unit.kind is SubjectKind.PROCESS:
                     unit.ready_ns = unit.begun_ns
                 unit.phase, unit.pid, unit.command = "running", event.pid, event.command
@@ -410,7 +412,7 @@ class Timeline:
         if known is None:
             known = self._known[same] = failure
             self.failures.append(failure)
-            key, at_ns = failure.key, failure.log_time
+            key, at_ns, failure.life_ns = failure.key, failure.log_time, unit.life_ns
             failure.before = self.samples.before(key, failure.name, failure.pid, at_ns)
             if parameters := self.parameters.nodes.get(failure.name):
                 failure.parameters = parameters.of_life(failure.since_ns) or None

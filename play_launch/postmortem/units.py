@@ -109,6 +109,8 @@ class Failure(Struct, kw_only=True):
     away: list[Downtime] = field(default_factory=list)
     hit: dict[str, None] = field(default_factory=dict)
     """Names of other units that were down because of it."""
+    life_ns: int = 0
+    """Log time when the life that ended so began; 0: not known."""
     last_lines: tuple[str, ...] = ()
     before: tuple[Trend, ...] = ()
     """What grew or ran out before."""
@@ -235,6 +237,8 @@ class Unit(Struct, kw_only=True):
     down_since_ns: int = 0
     begun_ns: int = 0
     """Log time when it was started first; of a node, requested."""
+    life_ns: int = 0
+    """The same, of its latest life: what was written before is not of it."""
     constructing_ns: int = 0
     ready_ns: int = 0
     """Log time when a container was ready first, or a node had arrived, well or not."""

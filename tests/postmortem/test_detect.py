@@ -385,8 +385,12 @@ def test_what_the_next_process_writes_at_once_is_not_the_last_of_the_one_before(
     scene.process(1.05, ProcessEventKind.STARTED, "/driver", pid=5)
     for number in range(30):
         scene.line(1.06, f"line {number} of the next", "/driver")
-    (finding,) = scene.story(tmp_path).findings
-    assert finding.last_lines == ("the range finder does not answer",)
+    scene.process(3, ProcessEventKind.EXITED, "/driver", exit_code=1)
+    scene.process(4, ProcessEventKind.STARTED, "/driver", pid=6)
+    scene.process(5, ProcessEventKind.EXITED, "/driver", signal=9)
+    first, killed = scene.story(tmp_path).findings
+    assert first.last_lines == ("the range finder does not answer",)
+    assert killed.last_lines == (), "the third one has written nothing"
 
 
 @pytest.mark.parametrize("returns", [True, False])
