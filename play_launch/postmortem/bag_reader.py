@@ -40,7 +40,15 @@ from play_launch.postmortem.records import (
     refuse,
 )
 from play_launch.recording.clock import CLOCK_METADATA
-from play_launch.recording.folder import BAG_NAME, MAGIC, PartFile, open_bag, part_path, parts_of
+from play_launch.recording.folder import (
+    ACTIVE_SUFFIX,
+    BAG_NAME,
+    MAGIC,
+    PartFile,
+    open_bag,
+    part_path,
+    parts_of,
+)
 from play_launch.recording.topics import KEY, KIND, MACHINES_METADATA, PART_METADATA, REPEATED
 
 if TYPE_CHECKING:
@@ -260,7 +268,9 @@ class BagReader:
             file = open_bag(path)
             size, magic = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
         except OSError as error:
-            raise NotARecordingError(f"{path}: {error.strerror}") from error
+            unfinished = path.with_name(f"{path.name}{ACTIVE_SUFFIX}")
+            hint = f"; there is {unfinished.name}, unfinished" if unfinished.exists() else ""
+            raise NotARecordingError(f"{path}: {error.strerror}{hint}") from error
         with file:
             self.size += size
             if magic != MAGIC:

@@ -108,7 +108,12 @@ def test_something_else_is_refused(data: bytes) -> None:
 
 
 def test_what_cannot_be_opened_is_named(tmp_path: Path) -> None:
-    for path, reason in ((tmp_path / "no", "No such file"), (tmp_path, "no session.mcap is in")):
+    (tmp_path / "killed.mcap.active").touch()
+    for path, reason in (
+        (tmp_path / "no", "No such file or directory$"),
+        (tmp_path / "killed.mcap", "directory; there is killed.mcap.active, unfinished"),
+        (tmp_path, "no session.mcap is in"),
+    ):
         with pytest.raises(NotARecordingError, match=reason):
             list(BagReader(path).messages())
 
