@@ -183,7 +183,7 @@ def _load(step: Reduction, node: Node) -> None:
         attempt=attempt,
         loaded_into=container.attempt,
         **dict.fromkeys(("unique_id", "pid", "start_time"), 0),
-        **dict.fromkeys(("loaded_at", "next_at", "wait")),
+        **dict.fromkeys(("loaded_at", "next_at", "wait", "blocked_since")),
         sent_at=step.now,
         query_at=step.now + step.container_of(node).loading_timeout,
         gives_up="",

@@ -281,9 +281,16 @@ async def test_a_node_that_stays_in_its_callbacks_is_told_once_and_left_alone(
             assert node.cause is Cause.RETURNED
             assert words_of(node).text == f"/a: {node.reason}"
             assert node.elapsed_ns == 0, "the load took no time"
+        fake.busy_since = asyncio.get_running_loop().time()
+        await asyncio.sleep(60)
+        fake.busy_since = None
+        fake.crash_node("a")
+        await asyncio.sleep(60)
+        node = sys.view.containers["/c"].nodes[NodeKey("/c", "/a")]
+        assert (node.state, node.cause, node.reason) == (NodeState.LOADED, Cause.NONE, "")
         assert len(sys.launcher.containers["/c"]) == 1
     warnings = [r.getMessage() for r in caplog.records if "blocked in a callback" in r.getMessage()]
-    assert len(warnings) == 2
+    assert len(warnings) == 3
     assert all("/a: its executor has been blocked in a callback for 1" in each for each in warnings)
     assert all(not event.reason for event in sys.node_events("/b", NodeState.LOADED))
 
