@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.connection import connected
-from play_launch.cli.output import clock, duration, printable, say, size
-from play_launch.config.text import counted
+from play_launch.cli.output import clock, counted, duration, printable, say, size
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -122,9 +122,10 @@ class LastLines:
         since = failure.life_ns - _EARLY
         failure.last_lines = self.of(failure.container, failure.name, until, since)
 
-    def of_unit(self, unit: Unit) -> tuple[str, ...]:
-        """Give the latest lines of a unit up to its latest change of state."""
-        return self.of(unit.container, unit.name, unit.since_ns + LATE_LINES)
+    def of_life(self, unit: Unit, until_ns: int) -> tuple[str, ...]:
+        """Give the latest lines of the latest life of a unit, up to a moment."""
+        until, since = until_ns + LATE_LINES, unit.life_ns - _EARLY
+        return self.of(unit.container, unit.name, until, since)
 
     def qos_reports(self) -> Iterator[tuple[int, str]]:
         """Give the warnings about incompatible QoS, each with its log time."""

@@ -202,7 +202,8 @@ class Timeline:
                 unit.active_ns = unit.active_ns or at_ns
             case ManagedNodeChanged(state=ManagedState.FAILED):
                 unit = self.of_name(event.unit)
-                self._add(Failure.of_managed(event, unit, at_ns), unit, event.reason)
+                failure = Failure.of_unit(Fault.NOT_BROUGHT_UP, event, unit, at_ns)
+                self._add(failure, unit, event.reason)
             case Withdrawn():
                 self.unit(event.kind, event.key).is_withdrawn = True
                 self.operated = self.operated.after(event)
@@ -253,7 +254,7 @@ class Timeline:
         if event.state is NodeState.LOADING and unit.failure is not None:
             self.lines.settle(unit.failure)
         if event.state is NodeState.LOADING and is_repeated and event.reason:
-            slow = Failure.of_node(Fault.SLOW, event, unit, at_ns)
+            slow = Failure.of_unit(Fault.SLOW, event, unit, at_ns)
             self._add(slow, unit, "").cause = event.reason  # the latest one has the longest time
         unit.note_node(event, container, at_ns, self.lines)
         self._arrive(event, unit, at_ns)
@@ -274,8 +275,6 @@ class Timeline:
             unit.since_ns = event.stamp_ns
 
     def _arrive(self, event: NodeStateChanged, unit: Unit, at_ns: int) -> None:
-        if event.state is NodeState.REQUESTED:
-            unit.life_ns = at_ns
         if event.state is NodeState.LOADED:
             unit.loaded_ns = unit.loaded_ns or event.stamp_ns
         if unit.arrival is not None:
@@ -338,7 +337,8 @@ class Timeline:
         fault = Fault.CRASHED if event.state is NodeState.CRASHED else Fault.LOAD_FAILED
         if fault is Fault.CRASHED and event.cause is Cause.STOP_TIMEOUT:
             fault = Fault.STOP_TIMEOUT
-        failure = Failure.of_node(fault, event, unit, at_ns)
+        failure = Failure.of_unit(fault, event, unit, at_ns)
+        failure.code, failure.pid = event.cause, event.pid
         failure.explain(report)
         failure = self._add(failure, unit, recorded)
         if event.sequel is not Sequel.GAVE_UP:  # that has an event of its own, with its reason

@@ -117,18 +117,19 @@ class Failure(Struct, kw_only=True):
     parameters: ParametersOfALife | None = None
 
     @classmethod
-    def of_node(cls, fault: Fault, event: NodeStateChanged, unit: Unit, at_ns: int) -> Failure:
+    def of_unit(
+        cls, fault: Fault, event: NodeStateChanged | ManagedNodeChanged, unit: Unit, at_ns: int
+    ) -> Failure:
         return cls(
             fault=fault,
             key=unit.key,
-            name=event.node,
-            container=event.container,
+            name=unit.name,
+            container=unit.container,
             at_ns=event.stamp_ns,
             log_time=at_ns,
             cause=event.reason,
-            code=event.cause,
-            pid=event.pid,
-            state=unit.state.value if isinstance(unit.state, StrEnum) else "",
+            pid=unit.pid,
+            state=unit.state.value if isinstance(unit.state, StrEnum) else unit.phase,
             since_ns=unit.since_ns,
         )
 
@@ -149,21 +150,6 @@ class Failure(Struct, kw_only=True):
             pid=event.pid,
             state=state,
             since_ns=since_ns,
-        )
-
-    @classmethod
-    def of_managed(cls, event: ManagedNodeChanged, unit: Unit, at_ns: int) -> Failure:
-        return cls(
-            fault=Fault.NOT_BROUGHT_UP,
-            key=unit.key,
-            name=unit.name,
-            container=unit.container,
-            at_ns=event.stamp_ns,
-            log_time=at_ns,
-            cause=event.reason,
-            pid=unit.pid,
-            state=unit.state.value if isinstance(unit.state, StrEnum) else unit.phase,
-            since_ns=unit.since_ns,
         )
 
     @property
@@ -263,7 +249,9 @@ class Unit(Struct, kw_only=True):
     def note_node(
         self, event: NodeStateChanged, container: Unit, at_ns: int, lines: LastLines
     ) -> None:
-        """Note whether it left unrequested, and its executor is blocked, from now on."""
+        """Note whether a life of it begins, it left unrequested, or its executor is blocked."""
+        if event.state is NodeState.REQUESTED:
+            self.life_ns = at_ns
         if event.state is not NodeState.UNLOADED:
             self.left_ns = 0
         elif self.state is NodeState.LOADED and not container.is_stopping:
@@ -275,7 +263,7 @@ class Unit(Struct, kw_only=True):
                 self.blocks[-1].has_returned = event.cause is Cause.RETURNED
         elif not is_open and len(self.blocks) < MOST_TIMES:
             before = round(BLOCKED_AFTER * 1e9)
-            last = lines.of(self.container, self.name, at_ns)
+            last = lines.of_life(self, at_ns)
             self.blocks.append(Block(event.stamp_ns - before, at_ns - before, last))
 
 

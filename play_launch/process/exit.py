@@ -47,6 +47,16 @@ class Exit:
         """Return an exit with unknown status."""
         return cls(code=UNKNOWN_STATUS)
 
+    @property
+    def signal_name(self) -> str:
+        """``SIGSEGV``; empty where no signal ended it."""
+        if not self.signal:
+            return ""
+        try:
+            return signals.Signals(self.signal).name
+        except ValueError:  # most of the real-time signals have no name of their own
+            return f"SIGRTMIN+{self.signal - signals.SIGRTMIN}"
+
     def __str__(self) -> str:
         if self.is_lost:
             return "ended, with an unknown exit status"
@@ -54,14 +64,7 @@ class Exit:
         if not self.signal:
             return f"exited with status {self.code}{hint}"
         core = ", core dumped" if self.core_dumped else ""
-        return f"exited with signal {self.signal} ({_signal_name(self.signal)}{core}){hint}"
+        return f"exited with signal {self.signal} ({self.signal_name}{core}){hint}"
 
     def __repr__(self) -> str:
         return f"<Exit: {self}>"
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signals.Signals(number).name
-    except ValueError:  # most of the real-time signals have no name of their own
-        return f"SIGRTMIN+{number - signals.SIGRTMIN}"

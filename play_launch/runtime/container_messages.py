@@ -151,7 +151,7 @@ def _of_event(event: ComponentEvent, report: Callable[..., NodeReported]) -> Nod
     if event.kind is ComponentEventKind.CRASHED:
         ending = explained(Exit(code=event.exit_code, signal=event.signal))
         at = f" at {blamed_line(event.backtrace)}" if event.backtrace else ""
-        if reason and f"({reason.split()[0]}" in str(ending):  # it names the signal itself
+        if ending.signal and reason.startswith(f"{ending.signal_name} "):
             reason += at + (f": {ending.hint}" if ending.hint else "")
         else:
             reason = (f"{ending}: {reason}" if reason else str(ending)) + at

@@ -144,17 +144,7 @@ class Scene:
 
     def asked(self, at: float, action: str, *targets: str) -> None:
         """What an operator requested."""
-        event = ActionEvent(
-            stamp_ns=ns(at),
-            number=1,
-            action=action,
-            phase=ActionPhase.REQUESTED,
-            targets=targets,
-            uid=0,
-            pid=1,
-            command="",
-        )
-        self.events.append(event)
+        self.events.append(requested(ns(at), action, targets))
 
     def graph(self, at: float, appeared: str = "", vanished: str = "", **qos: int) -> None:
         """Endpoints as words: ``/lidar>/scan`` publishes, ``/slam</scan:pkg/msg/T`` subscribes."""
@@ -362,6 +352,19 @@ def parameters(values: dict[str, Any]) -> tuple[dict[str, Any], ...]:
         given = {} if kind is None else {"type": kind, kind.field: value}
         found.append({"name": name, "value": given})
     return tuple(found)
+
+
+def requested(stamp_ns: int, action: str, targets: tuple[str, ...]) -> ActionEvent:
+    return ActionEvent(
+        stamp_ns=stamp_ns,
+        number=1,
+        action=action,
+        phase=ActionPhase.REQUESTED,
+        targets=targets,
+        uid=0,
+        pid=1,
+        command="",
+    )
 
 
 def ns(seconds: float) -> int:

@@ -162,13 +162,13 @@ BREAKS: Final = {
         test_missing.test_a_managed_node_that_was_not_brought_up,
     ),
     "not_loaded": Break(
-        bring_up._missing,
-        "state not in _MISSING",
-        "state in _MISSING",
+        bring_up._absence,
+        "if state in _MISSING",
+        "if state not in _MISSING",
         lambda path: test_timeline.test_a_node_that_was_never_loaded(path, NodeState.PENDING),
     ),
     "not_started": Break(
-        bring_up._missing,
+        bring_up._absence,
         "state in _GAVE_UP",
         "state not in _GAVE_UP",
         test_detect.test_a_process_that_cannot_be_started,

@@ -44,10 +44,15 @@ def test_a_process_that_waited_to_the_end(tmp_path: Path, is_dismissed: bool) ->
     if is_dismissed:
         scene.asked(5, "stop", "/slam")
     scene.process(9, ProcessEventKind.STOPPED, "/slam", message="signal 2")
+    scene.process(0.1, ProcessEventKind.WAITING, "/late", message=why)
+    given_up = "it waited for a publisher of /scan: not within 5 s"
+    scene.process(5, ProcessEventKind.GAVE_UP, "/late", message=given_up)
     found = scene.story(tmp_path).findings
+    waited = [("not_started", "/slam", why)] * (not is_dismissed)
     assert [(each.kind, each.name, each.cause) for each in found] == [
-        ("not_started", "/slam", why)
-    ] * (not is_dismissed)
+        ("not_started", "/late", given_up),
+        *waited,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -70,3 +75,10 @@ def test_a_node_that_was_unloaded(tmp_path: Path, by: str) -> None:
         "the end of its container": [("died", "/box")],
     }
     assert [(each.kind, each.name) for each in found] == expected.get(by, [])
+
+
+def test_nodes_of_a_container_that_an_operator_stopped_are_not_missing(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.node(0, "/slam", NodeState.PENDING)
+    scene.asked(1, "stop", "/box")
+    assert scene.story(tmp_path).findings == ()

@@ -15,6 +15,7 @@ from play_launch.supervisor.plan import StepOutcome
 from play_launch.supervisor.reducer import deadline, reduce
 from play_launch.supervisor.view import SystemView
 from play_launch.supervisor.world import World
+from tests.postmortem.scenes import ns
 
 from . import invariants, systems
 from .chance import Chance
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 
     from .processes import Proc
 
-START: Final = 1_700_000_000_000_000_000
-"""Nanoseconds since the epoch at which a life begins."""
 _BEGIN: Final = 1000.0
 MOST_STEPS: Final = 4000
 """Inputs of one life; more are a loop."""
@@ -144,7 +143,7 @@ class Machine:
     @property
     def stamp_ns(self) -> int:
         """What the clock on the wall says."""
-        return START + round((self.now - _BEGIN) * 1e9)
+        return ns(self.now - _BEGIN)
 
     def _events(self) -> list[RunEvent]:
         return list(events_since(self.world, now=self.now, stamp_ns=self.stamp_ns))

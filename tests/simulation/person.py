@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor import inputs as said
 from play_launch.supervisor.conditions import absent_units
-from play_launch.supervisor.events import ActionEvent, ActionPhase
 from play_launch.supervisor.plan import StepOutcome, after, plan
+from tests.postmortem.scenes import requested
 
 from . import systems
 
@@ -67,17 +67,7 @@ class Person:
         self._machine.post(one)
 
     def _note(self, action: str, targets: tuple[str, ...]) -> None:
-        event = ActionEvent(
-            stamp_ns=self._machine.stamp_ns,
-            number=1,
-            action=action,
-            phase=ActionPhase.REQUESTED,
-            targets=targets,
-            uid=0,
-            pid=1,
-            command="",
-        )
-        self._machine.publish([event])
+        self._machine.publish([requested(self._machine.stamp_ns, action, targets)])
 
     def _change(self) -> None:
         machine = self._machine

@@ -5,6 +5,8 @@ from __future__ import annotations
 from statistics import median
 from typing import TYPE_CHECKING, Final
 
+from msgspec.structs import replace
+
 from play_launch.config.text import duration
 from play_launch.postmortem.critical_chain import critical_chain
 from play_launch.postmortem.findings import DeclaredPlace, Finding
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from play_launch.postmortem.timeline import Timeline
+    from play_launch.postmortem.units import Unit
 
 _MISSING: Final = frozenset(
     {NodeState.PENDING, NodeState.REQUESTED, NodeState.LOADING, NodeState.LOST}
@@ -33,60 +36,46 @@ def detect(timeline: Timeline) -> Iterator[Finding]:
 
 def _missing(timeline: Timeline) -> Iterator[Finding]:
     failed = {each.key for each in timeline.failures}
+    dismissed = timeline.operated.dismissed
     for unit in timeline.units:
-        state = unit.state
-        is_dismissed = unit.key in timeline.operated.dismissed
-        if unit.failure or unit.key in failed or unit.is_withdrawn or is_dismissed:
+        is_meant = unit.is_withdrawn or not dismissed.isdisjoint({unit.key, unit.container})
+        if unit.failure or unit.key in failed or is_meant:
             continue
-        if unit.kind is not SubjectKind.NODE and unit.waited and not unit.begun_ns:
-            yield Finding(
-                kind="not_started",
-                rank=2,
-                says="was not started: it waited, from {at} to the end",
+        if (found := _absence(timeline, unit)) is not None:
+            yield replace(
+                found,
                 name=unit.name,
                 key=unit.key,
-                times_ns=(unit.changes[0][0],),
-                cause=unit.waited,
-            )
-        # With its container, it did not leave alone.
-        if unit.left_ns and timeline.of_name(unit.container).failure is None:
-            yield Finding(
-                kind="left",
-                rank=2,
-                says="was unloaded {when}, by another program or itself, and not loaded again",
-                name=unit.name,
-                key=unit.key,
-                times_ns=(unit.left_ns,),
-                cause=unit.reason,
                 place=DeclaredPlace(container=unit.container),
-                last_lines=timeline.lines.of_unit(unit),
+                last_lines=timeline.lines.of_life(unit, unit.since_ns),
             )
-        if state in _GAVE_UP and unit.changes:
-            yield Finding(
-                kind="not_started",
-                rank=0,
-                says="was not started: it was given up {when}",
-                name=unit.name,
-                key=unit.key,
-                times_ns=(unit.changes[-1][0],),
-                cause=unit.reason,
-            )
-        if state not in _MISSING:
-            continue
+
+
+def _absence(timeline: Timeline, unit: Unit) -> Finding | None:
+    """Say how a unit was missing that did not fail; None: it was not."""
+    state, reason = unit.state, unit.reason
+    if state in _GAVE_UP and unit.changes:
+        says, at_ns = "was not started: it was given up {when}", unit.changes[-1][0]
+        return Finding(kind="not_started", rank=0, says=says, times_ns=(at_ns,), cause=reason)
+    if unit.kind is not SubjectKind.NODE and unit.waited and not unit.begun_ns and unit.changes:
+        says, at_ns = "was not started: it waited, from {at} to the end", unit.changes[0][0]
+        return Finding(kind="not_started", rank=2, says=says, times_ns=(at_ns,), cause=unit.waited)
+    # With its container, it did not leave alone.
+    if unit.left_ns and timeline.of_name(unit.container).failure is None:
+        says = "was unloaded {when}, by another program or itself, and not loaded again"
+        return Finding(kind="left", rank=2, says=says, times_ns=(unit.left_ns,), cause=reason)
+    if state in _MISSING:
         what = "not loaded again" if state is NodeState.LOST else "never loaded"
-        yield Finding(
+        return Finding(
             kind="not_loaded",
             rank=2,
             says=f"was {what}: it was {state} since {{at}}",
-            name=unit.name,
-            key=unit.key,
             times_ns=(unit.since_ns,),
-            cause=unit.reason,
-            place=DeclaredPlace(container=unit.container),
+            cause=reason,
             state=str(state),
             since_ns=unit.since_ns,
-            last_lines=timeline.lines.of_unit(unit),
         )
+    return None
 
 
 def _late(timeline: Timeline) -> Iterator[Finding]:
