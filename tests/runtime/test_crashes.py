@@ -86,6 +86,22 @@ async def test_the_first_reload_is_at_once_and_the_neighbours_notice_nothing() -
     assert sys.outcome.exit_code == 0
 
 
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (" ", "exited with signal 11 (SIGSEGV):  "),
+        ("SIGSEGV (at 0x0) in thread 'a'", "SIGSEGV (at 0x0) in thread 'a'"),
+    ],
+)
+async def test_a_crash_names_its_signal_once(error: str, reason: str) -> None:
+    async with running(system(container("c", "a")), launcher()) as sys:
+        await sys.until_loaded(1)
+        await crash(sys, "a", error=error)
+        await sys.until_loaded(1)
+    (told,) = sys.node_events("/a", NodeState.CRASHED)
+    assert told.reason == f"{reason}; it is loaded again at once"
+
+
 async def test_it_is_loaded_again_within_its_own_bounds_and_then_given_up(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
