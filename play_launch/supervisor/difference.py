@@ -55,9 +55,9 @@ def events_since(world: World, *, now: float, stamp_ns: int) -> Iterator[RunEven
             requested.append(node)
         elif node is not None:
             yield from _node(old, node, now, stamp_ns)
-        elif node is None and old is not None and key.container in world.processes:
-            # A container that is removed takes its nodes along.
-            if old.state is NodeState.UNLOADING:  # it is forgotten as soon as it is unloaded
+        elif old is not None:
+            is_unloaded = old.state is NodeState.UNLOADING and key.container in world.processes
+            if is_unloaded:  # it is forgotten as soon as it is unloaded
                 unloaded = replace(old, state=NodeState.UNLOADED, reason="")
                 yield from _node(old, unloaded, now, stamp_ns)
             yield Withdrawn(stamp_ns=stamp_ns, kind=SubjectKind.NODE, key=str(key))

@@ -96,7 +96,11 @@ async def test_members_come_and_go() -> None:
         assert len(launcher.containers["/stays"]) == 1
         assert launcher.processes["/old"][0].exit is not None
         gone = [(each.kind, each.key) for each in run.events if isinstance(each, Withdrawn)]
-        assert sorted(gone) == [(SubjectKind.CONTAINER, "/goes"), (SubjectKind.PROCESS, "/old")]
+        assert sorted(gone) == [
+            (SubjectKind.NODE, "/goes:/m"),
+            (SubjectKind.CONTAINER, "/goes"),
+            (SubjectKind.PROCESS, "/old"),
+        ]
     assert run.outcome is not None
     # It had ended by a signal, but it belongs to the system no more.
     assert run.outcome.exit_code == 0

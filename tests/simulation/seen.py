@@ -285,7 +285,6 @@ class Seen:
             case Withdrawn():
                 for units in (self.dismissed, self.unsure, self.requested, self.gave_up, self.owed):
                     units.discard(event.key)
-                    units -= {each for each in units if each.startswith(f"{event.key}:/")}
                 self.anew.pop(event.key, None)
                 self.starts[event.key].restarts.clear()
             case _:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import pytest
 
 from play_launch import ExitCode
 from play_launch.postmortem.findings import is_wrong
-from play_launch.supervisor.events import ContainerState
+from play_launch.supervisor.events import ContainerState, SubjectKind
 from tests.postmortem.scenes import Scene, story_of
 
 from .machine import Machine, lived
 from .search import report, searched, shortened
+
+if TYPE_CHECKING:
+    from play_launch.postmortem.timeline import Timeline
+    from play_launch.supervisor.view import SystemView
 
 SHARES: Final = 16
 SEEDS: Final = 140
@@ -39,16 +43,39 @@ def test_what_broke_once_holds(seed: int) -> None:
 
 
 @pytest.mark.parametrize("first", range(0, 200, 25))
-def test_a_run_with_failures_or_missing_units_is_explained(first: int, tmp_path: Path) -> None:
+def test_the_recording_tells_what_was_shown_and_explains_what_failed(
+    first: int, tmp_path: Path
+) -> None:
     failed = 0
     for seed in range(first, first + 25):
         machine = lived(Machine(seed))
+        path = Scene(events=machine.events).record(tmp_path / f"{seed}.mcap")
+        story = story_of(path)
+        assert _remembered(story.timeline) == _shown(machine.view), f"seed {seed}"
         containers = machine.before_stop.containers.values()
         is_early = any(each.state is ContainerState.STARTING for each in containers)
         is_missing = machine.exit_code == ExitCode.NODES_MISSING and not is_early
         if machine.exit_code != ExitCode.NODE_FAILED and not is_missing:
             continue
         failed += 1
-        path = Scene(events=machine.events).record(tmp_path / f"{seed}.mcap")
-        assert is_wrong(story_of(path).findings), f"seed {seed}"
+        assert is_wrong(story.findings), f"seed {seed}"
     assert failed > 5
+
+
+def _remembered(timeline: Timeline) -> dict[str, tuple[object, ...]]:
+    known = (each for each in timeline.units if each.is_known and not each.is_withdrawn)
+    # A process that was given up and exits then is shown as given up.
+    return {
+        each.key: (None if each.kind is SubjectKind.PROCESS else each.state, each.restarts)
+        for each in known
+    }
+
+
+def _shown(view: SystemView) -> dict[str, tuple[object, ...]]:
+    containers = view.containers.values()
+    nodes = (node for each in containers for node in each.nodes.values())
+    return (
+        {each.name: (each.state, each.process.restarts) for each in containers}
+        | {str(each.key): (each.state, each.reloads) for each in nodes}
+        | {name: (None, each.restarts) for name, each in view.processes.items()}
+    )
