@@ -11,7 +11,7 @@ from msgspec.structs import asdict
 from play_launch.config.node_key import NodeKey
 from play_launch.config.text import listed
 from play_launch.process.exit import Exit
-from play_launch.recording.console_format import ERROR, INFO, WARN, line_level
+from play_launch.recording.console_format import DEBUG, ERROR, INFO, WARN, line_level
 from play_launch.recording.forms import fields_of
 from play_launch.supervisor.endpoints import Endpoint
 from play_launch.supervisor.events import (
@@ -38,6 +38,7 @@ from play_launch.supervisor.events import (
     RecordingInterrupted,
     RunEvent,
     SystemSample,
+    WantChanged,
     Withdrawn,
 )
 from play_launch.supervisor.outcome import Cause
@@ -131,7 +132,10 @@ def words_of(event: RunEvent) -> EventText:
                 changes += [f"{sign} {len(many)} publishers and subscriptions"] if many else []
             return EventText(INFO, "graph", ", ".join(changes))
         case Withdrawn():
-            return EventText(INFO, event.key, because("taken out of the system", event.reason))
+            return EventText(INFO, event.key, "taken out of the system")
+        case WantChanged():
+            text = "is wanted again" if event.is_wanted else "is not wanted any more"
+            return EventText(DEBUG, event.unit, text)
         case _:
             values = event_object(event)
             kind = values.pop("event")
@@ -212,6 +216,7 @@ EVENT_TYPES: Final[dict[type[RunEvent], str]] = {
     ContainerStateChanged: "container",
     GraphChanged: "graph",
     Withdrawn: "withdrawn",
+    WantChanged: "want",
     ActionEvent: "action",
     ManagedNodeChanged: "managed",
     MachineChanged: "machine",

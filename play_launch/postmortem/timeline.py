@@ -52,10 +52,11 @@ from play_launch.supervisor.events import (
     RecordingInterrupted,
     RunEvent,
     SubjectKind,
+    WantChanged,
     Withdrawn,
 )
 from play_launch.supervisor.outcome import Cause, Sequel
-from play_launch.supervisor.view import SystemView, has_ended_well, is_guest
+from play_launch.supervisor.view import has_ended_well, is_guest
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -89,11 +90,8 @@ class Timeline:
         self.interruptions: list[RecordingInterrupted] = []
         self.machines: dict[str, list[MachineChanged]] = {}
         self.expectations: dict[str, list[ExpectationChanged]] = {}
-        """By topic."""
-        self.operated = SystemView()  # of operations alone
         self.samples = Samples()
         self.groups: dict[str, GroupUse] = {}
-        """By the keys of their units."""
         self.parameters = Parameters()
         self.diagnostics = Diagnostics(self.session)
         self.lines = LastLines()
@@ -206,9 +204,11 @@ class Timeline:
                 self._add(failure, unit, event.reason)
             case Withdrawn():
                 self.unit(event.kind, event.key).is_withdrawn = True
-                self.operated = self.operated.after(event)
+            case WantChanged():
+                self.of_name(event.unit).is_dismissed = not event.is_wanted
             case ActionEvent():
-                self.operated = self.operated.after(event)
+                for name, is_dismissed in self._version1.dismissals(event):
+                    self.of_name(name).is_dismissed = is_dismissed
             case GraphChanged():
                 self.connections.take(event)
             case LogRecord():

@@ -214,6 +214,8 @@ class Unit(Struct, kw_only=True):
     """Of its process: ``running``, ``stopping``, ``killed`` (by the supervisor), ``exited``."""
     is_stopping: bool = False
     is_withdrawn: bool = False
+    is_dismissed: bool = False
+    """An operator stopped or unloaded it, and it is not wanted again since."""
     is_guest: bool = False
     """Another program loaded it."""
     changes: list[tuple[int, State, bool]] = field(default_factory=list)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from msgspec.structs import replace
 
 from play_launch.supervisor.events import (
+    ActionPhase,
     NodeState,
     NodeStateChanged,
     ProcessEvent,
@@ -19,7 +20,7 @@ from play_launch.supervisor.outcome import ENDING_SIGNALS, Cause, Sequel
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from play_launch.supervisor.events import ComponentEvent, LogRecord
+    from play_launch.supervisor.events import ActionEvent, ComponentEvent, LogRecord
 
 _RECORDER: Final = "play_launch.recording.recorder"
 _INTERRUPTED: Final = "the recording is interrupted: "
@@ -28,6 +29,8 @@ _NOTHING_LOST: Final = frozenset({"nothing is lost", "no data lost"})
 _KILLED: Final = "killed: "
 _FROZEN: Final = "it is frozen"
 _SIGKILL: Final = 9
+_DISMISSING: Final = frozenset({"stop", "unload"})
+_RECALLING: Final = frozenset({"start", "restart", "load", "reload", "apply"})
 _STOP_TIMEOUT: Final = re.compile(r"SIG[A-Z]+ \(it did not leave in time after the signal\)")
 _PROCESS: Final = re.compile(r"\bprocess (\d+)\b")
 _DELAY: Final = re.compile(r"\bin ([0-9.]+) s\b")
@@ -116,6 +119,14 @@ class Version1:
                 lasted_ns=_nanoseconds(resumed[1]),
                 lost="" if lost in _NOTHING_LOST else lost,
             )
+
+    def dismissals(self, event: ActionEvent) -> Iterator[tuple[str, bool]]:
+        """Give the units that the request of an operator dismissed, or recalled."""
+        is_dismissed = event.action in _DISMISSING
+        if self.is_over or event.phase is not ActionPhase.REQUESTED:
+            return
+        if is_dismissed or event.action in _RECALLING:
+            yield from ((unit, is_dismissed) for unit in event.targets)
 
     def interruptions(self) -> Iterator[RecordingInterrupted]:
         """Give those that no event stands for."""

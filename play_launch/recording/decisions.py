@@ -22,6 +22,7 @@ from play_launch.supervisor.events import (
     ManagedNodeChanged,
     NodeStateChanged,
     ProcessEvent,
+    WantChanged,
     Withdrawn,
 )
 
@@ -36,6 +37,7 @@ STATES: Final = (
     ContainerStateChanged,
     ProcessEvent,
     ManagedNodeChanged,
+    WantChanged,
     Withdrawn,
 )
 """Events that inputs lead to."""

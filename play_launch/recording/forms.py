@@ -49,6 +49,7 @@ from play_launch.supervisor.events import (
     RunEvent,
     SubjectKind,
     SystemSample,
+    WantChanged,
     Withdrawn,
 )
 from play_launch.supervisor.outcome import Cause, Sequel
@@ -152,6 +153,10 @@ def _word(attribute: str, kind: type[Enum]) -> Column:
     """A state is recorded as its name in small letters."""
     words = {state: state.name.lower() for state in kind}
     return Column(attribute, "state", words.__getitem__, lambda word: kind[word.upper()])
+
+
+def _is(yes: str, no: str) -> Callable[[bool], str]:
+    return lambda is_so: yes if is_so else no
 
 
 _OUTCOME: Final = (
@@ -268,8 +273,16 @@ _EXPECTATION: Final = Form(
     topics.STATES,
     STATE_EVENT,
     Column("topic", "key"),
-    Column("is_met", "state", lambda is_met: "met" if is_met else "broken", "met".__eq__),
+    Column("is_met", "state", _is("met", "broken"), "met".__eq__),
     besides=lambda event: {"kind": SubjectKind.EXPECTATION, "name": event.topic},
+)
+_WANT: Final = Form(
+    WantChanged,
+    topics.STATES,
+    STATE_EVENT,
+    Column("unit", "key"),
+    Column("is_wanted", "state", _is("wanted", "dismissed"), "wanted".__eq__),
+    besides=lambda event: {"kind": SubjectKind.WANT, "name": event.unit.rpartition(":")[2]},
 )
 INTERRUPTED_STATE: Final = "interrupted"
 _INTERRUPTED: Final = Form(
@@ -288,6 +301,7 @@ STATES: Final[dict[SubjectKind, Form[Any]]] = {
     SubjectKind.RECORDING: _INTERRUPTED,
     SubjectKind.MACHINE: _MACHINE,
     SubjectKind.EXPECTATION: _EXPECTATION,
+    SubjectKind.WANT: _WANT,
 }
 """By what they are about; all have the same layout."""
 _FORMS: Final[dict[type, Form[Any]]] = {

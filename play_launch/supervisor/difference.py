@@ -18,6 +18,7 @@ from play_launch.supervisor.events import (
     ProcessEvent,
     ProcessEventKind,
     SubjectKind,
+    WantChanged,
     Withdrawn,
 )
 from play_launch.supervisor.inputs import ProbeResult
@@ -38,7 +39,9 @@ _TIMED: Final = frozenset(
 
 def events_since(world: World, *, now: float, stamp_ns: int) -> Iterator[RunEvent]:
     """Give the events of what has changed since the last call, in the order of publication."""
-    before, world.before = world.before, Before({}, {}, {})
+    before, world.before = world.before, Before({}, {}, {}, world.dismissed)
+    for unit in sorted(before.dismissed ^ world.dismissed):
+        yield WantChanged(stamp_ns=stamp_ns, unit=unit, is_wanted=unit in before.dismissed)
     processes: list[tuple[Process | None, Process]] = []
     for name in sorted(before.processes, key=world.places.__getitem__):
         was, process = before.processes[name], world.processes.get(name)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
@@ -98,10 +98,6 @@ class ManagedState(StrEnum):
     """A transition failed; the node stays in its state."""
 
 
-UNDER_WAY: Final = {ManagedState.ASKED, ManagedState.CONFIGURING, ManagedState.ACTIVATING}
-"""States that end with an answer or its timeout."""
-
-
 class SubjectKind(IntEnum):
     """What a state or a sample is about: ``play_launch_msgs/StateEvent.kind``."""
 
@@ -109,10 +105,10 @@ class SubjectKind(IntEnum):
     CONTAINER = 1
     PROCESS = 2
     MANAGED = 3
-    """A managed node, beside what it is otherwise."""
     RECORDING = 4
     MACHINE = 5
     EXPECTATION = 6
+    WANT = 7
 
 
 class MemoryKind(IntEnum):
@@ -150,7 +146,6 @@ class ComponentEvent:
     stamp_ns: int
     kind: ComponentEventKind
     container: str
-    """Full name of the container's node."""
     unique_id: int
     attempt: int
     full_node_name: str
@@ -193,7 +188,6 @@ class ProcessEvent(_WithOutcome, frozen=True, kw_only=True):
     exit_code: int = 0
     signal: int = 0
     restarts: int = 0
-    """How often this member was restarted so far."""
     message: str = ""
     """Why, and what happens next."""
     command: tuple[str, ...] = ()
@@ -203,7 +197,6 @@ class OutputLine(_Event, frozen=True, kw_only=True):
     """One line that a process wrote, without its line end."""
 
     process: str
-    """Full name of the container or node."""
     pid: int
     stream: Stream
     text: str
@@ -276,7 +269,14 @@ class Withdrawn(_Event, frozen=True, kw_only=True):
     kind: SubjectKind
     key: str
     """As in the changes of state: ``/container:/node`` for a composable node, else the name."""
-    reason: str = ""
+
+
+class WantChanged(_Event, frozen=True, kw_only=True):
+    """An operator dismissed a unit, so that it is not to run, or it is wanted again."""
+
+    unit: str
+    """A name, or the key of a composable node."""
+    is_wanted: bool
 
 
 class GraphChanged(_Event, frozen=True, kw_only=True):
@@ -297,7 +297,6 @@ class ManagedNodeChanged(_Event, frozen=True, kw_only=True):
     unit: str
     """The key of the composable node, written out, or the full name of the process."""
     node: str
-    """Full name."""
     state: ManagedState
     reason: str = ""
 
@@ -344,7 +343,7 @@ class ActionEvent(_Event, frozen=True, kw_only=True):
     """Of the requesting process, as reported by the kernel."""
     pid: int
     command: str
-    """The command line of that process, as it reports itself."""
+    """Of that process, as it reports itself."""
     reason: str = ""
     """Why it failed; of a request, what was asked for besides."""
 
@@ -441,6 +440,7 @@ RunEvent = (
     | OutputLine
     | LogRecord
     | Withdrawn
+    | WantChanged
     | GraphChanged
     | ActionEvent
     | ManagedNodeChanged

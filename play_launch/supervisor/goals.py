@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.model import Autostart
-from play_launch.supervisor.events import UNDER_WAY, ManagedState, NodeState
+from play_launch.supervisor.events import ManagedState, NodeState
 from play_launch.supervisor.inputs import Drive, Log, ManagedInput
 from play_launch.supervisor.transitions import table
+from play_launch.supervisor.view import UNDER_WAY
 from play_launch.supervisor.world import Node
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from itertools import chain
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from msgspec import Struct, field
 from msgspec.structs import replace
@@ -16,9 +16,6 @@ from msgspec.structs import replace
 from play_launch import ExitCode
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import (
-    UNDER_WAY,
-    ActionEvent,
-    ActionPhase,
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -31,6 +28,7 @@ from play_launch.supervisor.events import (
     ProcessEventKind,
     RunEvent,
     SubjectKind,
+    WantChanged,
     Withdrawn,
 )
 from play_launch.supervisor.outcome import ENDING_SIGNALS, Cause
@@ -43,9 +41,10 @@ _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 
 _FAILED = frozenset({NodeState.LOAD_FAILED, NodeState.CRASHED, NodeState.GAVE_UP})
-_DISMISSING = frozenset({"stop", "unload"})
-"""Actions whose targets are not expected to run afterwards."""
-_RECALLING = frozenset({"start", "restart", "load", "reload", "apply"})
+UNDER_WAY: Final = frozenset(
+    {ManagedState.ASKED, ManagedState.CONFIGURING, ManagedState.ACTIVATING}
+)
+"""States of a managed node that end with an answer or its timeout."""
 _WAITING = frozenset({NodeState.PENDING, NodeState.REQUESTED, NodeState.LOADING, NodeState.LOST})
 _TO_START = frozenset({ProcessEventKind.RESTARTING, ProcessEventKind.WAITING})
 _ALIVE = frozenset({ProcessEventKind.STARTED, ProcessEventKind.READY, ProcessEventKind.STOPPING})
@@ -156,8 +155,8 @@ class SystemView(_Nodes, frozen=True, kw_only=True):
     managed: Mapping[str, ManagedNodeChanged] = field(default_factory=_empty)
     """The latest state of each managed node that is brought somewhere, by unit."""
     dismissed: frozenset[str] = frozenset()
-    """What an operator stopped or unloaded and has not requested since: containers and processes
-    by name, composable nodes by key."""
+    """What an operator stopped or unloaded and is not wanted again since: containers and
+    processes by name, composable nodes by key."""
 
     @property
     def expected(self) -> SystemView:
@@ -235,35 +234,26 @@ class SystemView(_Nodes, frozen=True, kw_only=True):
                 return replace(self, processes=_with(self.processes, event.name, process))
             case ManagedNodeChanged():
                 return replace(self, managed=_with(self.managed, event.unit, event))
-            case ActionEvent(phase=ActionPhase.REQUESTED):
-                return self._asked(event)
+            case WantChanged():
+                unit = {event.unit}
+                gone = self.dismissed - unit if event.is_wanted else self.dismissed | unit
+                return replace(self, dismissed=gone)
             case Withdrawn():
                 return self._without(event)
             case _:
                 return self
 
-    def _asked(self, event: ActionEvent) -> SystemView:
-        """Note the request of an operator: a dismissed unit is so until it is requested again."""
-        dismissed = self.dismissed
-        if event.action in _DISMISSING:
-            dismissed |= {*event.targets}
-        elif event.action in _RECALLING:
-            dismissed -= {*event.targets}
-        return self if dismissed == self.dismissed else replace(self, dismissed=dismissed)
-
     def _without(self, event: Withdrawn) -> SystemView:
-        view = self
         match event.kind:
             case SubjectKind.CONTAINER:
-                view = replace(self, containers=_less(self.containers, {event.key}))
+                return replace(self, containers=_less(self.containers, {event.key}))
             case SubjectKind.PROCESS:
-                view = replace(self, processes=_less(self.processes, {event.key}))
-            case SubjectKind.NODE:
-                name = NodeKey.parsed(event.key).container
-                if (container := self.containers.get(name)) is not None:
-                    nodes = _less(container.nodes, {event.key})
-                    view = self._with_container(replace(container, nodes=nodes))
-        return replace(view, dismissed=self.dismissed - {event.key})
+                return replace(self, processes=_less(self.processes, {event.key}))
+        container = self.containers.get(NodeKey.parsed(event.key).container)
+        if container is None:
+            return self
+        nodes = _less(container.nodes, {event.key})
+        return self._with_container(replace(container, nodes=nodes))
 
     def _container(self, name: str) -> ContainerView:
         if (known := self.containers.get(name)) is not None:

@@ -288,6 +288,7 @@ class Before(NamedTuple):
     processes: dict[str, Process | None]
     nodes: dict[NodeKey, Node | None]
     goals: dict[str, Goal | None]
+    dismissed: frozenset[str] = frozenset()
 
 
 class World:

@@ -11,12 +11,11 @@ from play_launch.cli.show.summary import Summary
 from play_launch.config.node_key import NodeKey
 from play_launch.recording.limits import RecordingSummary
 from play_launch.supervisor.events import (
-    ActionEvent,
-    ActionPhase,
     ContainerState,
     NodeState,
     ProcessEventKind,
     SubjectKind,
+    WantChanged,
 )
 from tests.cli.scenes import START, container, folded_after, node, process, view
 
@@ -69,16 +68,7 @@ RAN = view(
     process("/again", ProcessEventKind.RESTARTING, message="starts again in 8.00 s"),
     process("/late", ProcessEventKind.WAITING, message="waits for /fine to be loaded"),
     process("/dismissed", ProcessEventKind.EXITED, signal=2),
-    ActionEvent(
-        stamp_ns=START,
-        number=1,
-        action="stop",
-        phase=ActionPhase.REQUESTED,
-        targets=("/dismissed",),
-        uid=0,
-        pid=1,
-        command="play-launch stop dismissed",
-    ),
+    WantChanged(stamp_ns=START, unit="/dismissed", is_wanted=False),
 )
 AFTER = folded_after(
     RAN,

@@ -44,6 +44,7 @@ from play_launch.supervisor.events import (
     Stream,
     SubjectKind,
     SystemSample,
+    WantChanged,
 )
 from play_launch.supervisor.outcome import Cause, Sequel
 
@@ -142,9 +143,11 @@ class Scene:
         fields = {"cause": Cause.SIGNAL if has_failed else Cause.NONE} | fields
         self.events.append(ProcessEvent(stamp_ns=ns(at), kind=kind, name=name, **fields))
 
-    def asked(self, at: float, action: str, *targets: str) -> None:
-        """What an operator requested."""
-        self.events.append(requested(ns(at), action, targets))
+    def dismissed(self, at: float, unit: str) -> None:
+        """An operator stopped it; before there were codes, only the request was recorded."""
+        self.events.append(requested(ns(at), "stop", (unit,)))
+        if self.has_codes:
+            self.events.append(WantChanged(stamp_ns=ns(at), unit=unit, is_wanted=False))
 
     def graph(self, at: float, appeared: str = "", vanished: str = "", **qos: int) -> None:
         """Endpoints as words: ``/lidar>/scan`` publishes, ``/slam</scan:pkg/msg/T`` subscribes."""

@@ -35,14 +35,17 @@ def test_a_managed_node_that_was_not_brought_up(tmp_path: Path) -> None:
     assert [event.what for event in story.timeline.events] == ["not brought up"] * 2
 
 
+@pytest.mark.parametrize("has_codes", [True, False])
 @pytest.mark.parametrize("is_dismissed", [False, True])
-def test_a_process_that_waited_to_the_end(tmp_path: Path, is_dismissed: bool) -> None:
-    scene = Scene()
+def test_a_process_that_waited_to_the_end(
+    tmp_path: Path, is_dismissed: bool, has_codes: bool
+) -> None:
+    scene = Scene(has_codes=has_codes)
     scene.started()
     why = "waits for a publisher of /scan"
     scene.process(0.1, ProcessEventKind.WAITING, "/slam", message=why)
     if is_dismissed:
-        scene.asked(5, "stop", "/slam")
+        scene.dismissed(5, "/slam")
     scene.process(9, ProcessEventKind.STOPPED, "/slam", message="signal 2")
     scene.process(0.1, ProcessEventKind.WAITING, "/late", message=why)
     given_up = "it waited for a publisher of /scan: not within 5 s"
@@ -80,5 +83,5 @@ def test_a_node_that_was_unloaded(tmp_path: Path, by: str) -> None:
 def test_nodes_of_a_container_that_an_operator_stopped_are_not_missing(tmp_path: Path) -> None:
     scene = Scene()
     scene.node(0, "/slam", NodeState.PENDING)
-    scene.asked(1, "stop", "/box")
+    scene.dismissed(1, "/box")
     assert scene.story(tmp_path).findings == ()

@@ -256,12 +256,10 @@ def test_the_definition_lists_every_state() -> None:
         assert getattr(StateMessage, word) == word.lower()
 
 
-@given(SUBJECTS, TEXTS)
-def test_what_was_taken_out_comes_back_as_the_last_state(
-    subject: tuple[SubjectKind, str], reason: str
-) -> None:
+@given(SUBJECTS)
+def test_what_was_taken_out_comes_back_as_the_last_state(subject: tuple[SubjectKind, str]) -> None:
     kind, key = subject
-    event = Withdrawn(stamp_ns=1, kind=kind, key=key, reason=reason)
+    event = Withdrawn(stamp_ns=1, kind=kind, key=key)
     ((topic, data, latest),) = convert(event)
     assert latest == f"{kind} {key}", "it takes the place of the state before"
     message: Any = deserialize_message(data, StateMessage)

@@ -196,6 +196,8 @@ class Checks:
                 raise BrokenError("what is given up has a reason", str(key), (str(key),))
         if len(view.containers) > len(world.processes):
             raise BrokenError(name, "a container is gone and still shown")
+        if differs := view.dismissed ^ world.dismissed:
+            raise BrokenError(name, f"dismissed: {sorted(differs)}", tuple(differs))
         for unit, goal in world.goals.items():
             told = view.managed.get(unit)
             is_, shown_as = goal.state, ManagedState.ABSENT if told is None else told.state

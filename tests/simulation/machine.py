@@ -135,7 +135,9 @@ class Machine:
         if self.steps % 8 or (due is not None and due <= self.now):
             return
         effects = reduce(self.world, said.Time(), self.now, 0.5)
-        changed = [key for units in self.world.before for key in units]
+        before = self.world.before
+        changed = [*before.processes, *before.nodes, *before.goals]
+        changed += before.dismissed ^ self.world.dismissed
         if effects or changed:
             text = f"{changed} {effects}"
             raise invariants.BrokenError("nothing is forgotten", text, tuple(map(str, changed)))

@@ -12,13 +12,12 @@ from play_launch.config.dependency import Condition, OnTimeout
 from play_launch.config.model import Autostart, ContainerConfig, OnExit
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import (
-    UNDER_WAY,
     ContainerState,
     ManagedState,
     NodeState,
     ProcessEventKind,
 )
-from play_launch.supervisor.view import exit_code, has_failed
+from play_launch.supervisor.view import UNDER_WAY, exit_code, has_failed
 from play_launch.supervisor.world import Phase
 
 from .person import unit_of

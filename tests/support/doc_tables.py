@@ -1,8 +1,9 @@
 """Writes the generated tables of the documentation: ``python -m tests.support.doc_tables``.
 
-A table stands between ``<!-- fields of NAME -->`` or ``<!-- keys of NAME ... -->`` and
-``<!-- end -->``. Fields are those of a class of `play_launch.control.messages`, keys those of
-sections of the configuration; several sections have a column each.
+A table stands between ``<!-- fields of NAME -->``, ``<!-- keys of NAME ... -->`` or
+``<!-- kinds of events -->`` and ``<!-- end -->``. Fields are those of a class of
+`play_launch.control.messages`, keys those of sections of the configuration; several sections have a
+column each.
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ import msgspec
 
 from play_launch.config import schema, sections
 from play_launch.control import messages
+from play_launch.control.event_words import EVENT_TYPES
 
 if TYPE_CHECKING:
     from play_launch.config.section import ConfigSection
 
 DOCS: Final = Path(__file__).parents[2] / "docs"
 DOCUMENTS: Final = tuple(sorted(DOCS.glob("*.md")))
-_TABLE: Final = re.compile(r"(<!-- (fields|keys) of ([\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_TABLE: Final = re.compile(r"(<!-- (\w+) of ([\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _HEADING: Final = re.compile(r"^#+ (.+)$", re.MULTILINE)
 _COLUMNS: Final = {
     "LoadingSection": "all",
@@ -39,7 +41,7 @@ def with_tables(text: str) -> str:
 
     def written(found: re.Match[str]) -> str:
         names = found[3].split()
-        rows = _fields(names[0]) if found[2] == "fields" else _keys(names, headings)
+        rows = _keys(names, headings) if found[2] == "keys" else _TABLES[found[2]](names[0])
         return "\n".join([found[1].rstrip("\n"), *rows, found[4]])
 
     return _TABLE.sub(written, text)
@@ -54,6 +56,18 @@ def _fields(name: str) -> list[str]:
         if field.name in about
     ]
     return ["| field | |", "| --- | --- |", *rows]
+
+
+def _first(kind: type) -> str:
+    return (inspect.getdoc(kind) or "").partition("\n\n")[0]
+
+
+def _kinds(_name: str) -> list[str]:
+    rows = (f"| `{word}` | {_first(kind)} |" for kind, word in EVENT_TYPES.items())
+    return ["| kind | |", "| --- | --- |", *(row.replace("``", "`") for row in rows)]
+
+
+_TABLES: Final = {"fields": _fields, "kinds": _kinds}
 
 
 def _keys(names: list[str], headings: set[str]) -> list[str]:

@@ -29,6 +29,7 @@ from play_launch.supervisor.events import (
     ProcessEvent,
     ProcessEventKind,
     RunEvent,
+    WantChanged,
     Withdrawn,
 )
 from play_launch.supervisor.view import is_guest
@@ -72,7 +73,7 @@ def line_of(event: RunEvent, before: SystemView, after: SystemView) -> DisplayLi
 def _is_progress(event: RunEvent, before: SystemView, after: SystemView) -> bool | None:
     """Whether the live view shows an event as well; None: it has no line."""
     match event:
-        case OutputLine() | Withdrawn():
+        case OutputLine() | WantChanged() | Withdrawn():
             return False
         case LogRecord() if event.level >= WARN and event.name != REPORTED_LOGGER:
             return False

@@ -36,7 +36,7 @@ def detect(timeline: Timeline) -> Iterator[Finding]:
 
 def _missing(timeline: Timeline) -> Iterator[Finding]:
     failed = {each.key for each in timeline.failures}
-    dismissed = timeline.operated.dismissed
+    dismissed = {each.key for each in timeline.units if each.is_dismissed}
     for unit in timeline.units:
         is_meant = unit.is_withdrawn or not dismissed.isdisjoint({unit.key, unit.container})
         if unit.failure or unit.key in failed or is_meant:
