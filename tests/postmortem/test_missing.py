@@ -80,6 +80,21 @@ def test_a_node_that_was_unloaded(tmp_path: Path, by: str) -> None:
     assert [(each.kind, each.name) for each in found] == expected.get(by, [])
 
 
+@pytest.mark.parametrize("state", [NodeState.LOADED, NodeState.LOADING])
+def test_a_node_that_was_lost_as_its_container_was_stopped(
+    tmp_path: Path, state: NodeState
+) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(0.5, "/slam", state)
+    scene.process(2, ProcessEventKind.STOPPING, cause=Cause.STOPPED)
+    scene.process(3, ProcessEventKind.EXITED, signal=2, cause=Cause.STOPPED)
+    scene.node(3, "/slam", NodeState.LOST, reason="its container: exited with signal 2 (SIGINT)")
+    found = scene.story(tmp_path).findings
+    missing = [("not_loaded", "loading", (ns(0.5),))] * (state is NodeState.LOADING)
+    assert [(each.kind, each.state, each.times_ns) for each in found] == missing
+
+
 def test_nodes_of_a_container_that_an_operator_stopped_are_not_missing(tmp_path: Path) -> None:
     scene = Scene()
     scene.node(0, "/slam", NodeState.PENDING)

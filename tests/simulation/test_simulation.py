@@ -52,6 +52,9 @@ def test_the_recording_tells_what_was_shown_and_explains_what_failed(
         path = Scene(events=machine.events).record(tmp_path / f"{seed}.mcap")
         story = story_of(path)
         assert _remembered(story.timeline) == _shown(machine.view), f"seed {seed}"
+        kinds = {each.kind for each in story.findings}
+        if machine.exit_code == ExitCode.OK:
+            assert not kinds & {"not_loaded", "not_started", "left"}, f"seed {seed}"
         containers = machine.before_stop.containers.values()
         is_early = any(each.state is ContainerState.STARTING for each in containers)
         is_missing = machine.exit_code == ExitCode.NODES_MISSING and not is_early
