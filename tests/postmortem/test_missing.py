@@ -95,6 +95,16 @@ def test_a_node_that_was_lost_as_its_container_was_stopped(
     assert [(each.kind, each.state, each.times_ns) for each in found] == missing
 
 
+def test_a_process_that_ended_well_too_often(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.process(0, ProcessEventKind.STARTED, "/once")
+    scene.process(1, ProcessEventKind.EXITED, "/once")
+    scene.process(1, ProcessEventKind.GAVE_UP, "/once", message="restart limit reached")
+    (finding,) = scene.story(tmp_path).findings
+    text = "/once was not started again: it was given up at 1.000 s after the start."
+    assert headline(finding, ns(0)) == text
+
+
 def test_nodes_of_a_container_that_an_operator_stopped_are_not_missing(tmp_path: Path) -> None:
     scene = Scene()
     scene.node(0, "/slam", NodeState.PENDING)

@@ -55,7 +55,8 @@ def _absence(timeline: Timeline, unit: Unit) -> Finding | None:
     """Say how a unit was missing that did not fail; None: it was not."""
     state, reason = unit.state, unit.reason
     if state in _GAVE_UP and unit.changes:
-        says, at_ns = "was not started: it was given up {when}", unit.changes[-1][0]
+        again, at_ns = " again" if unit.begun_ns else "", unit.changes[-1][0]
+        says = f"was not started{again}: it was given up {{when}}"
         return Finding(kind="not_started", rank=0, says=says, times_ns=(at_ns,), cause=reason)
     if unit.kind is not SubjectKind.NODE and unit.waited and not unit.begun_ns and unit.changes:
         says, at_ns = "was not started: it waited, from {at} to the end", unit.changes[0][0]
