@@ -38,7 +38,7 @@ graph = typer.Typer(help="Check the connections.", no_args_is_help=True, **optio
 graph.callback()(lambda: None)  # keeps the name of the single subcommand
 
 
-class Problem(NamedTuple):
+class GraphProblem(NamedTuple):
     """One topic, service or node at which something does not connect."""
 
     kind: str
@@ -82,7 +82,7 @@ def graph_check(  # noqa: PLR0917 - options, by name
     subscriptions without a publisher with the topic that may be meant, services and actions without
     a server, and nodes of one name. Exits with 1 if there is any of these.
     """
-    problems: list[Problem] = []
+    problems: list[GraphProblem] = []
     seen: dict[str, Any] = {}
 
     def check(client: GraphClient) -> None:
@@ -109,7 +109,7 @@ def graph_check(  # noqa: PLR0917 - options, by name
     return ExitCode.NODE_FAILED if failures else ExitCode.OK
 
 
-def of_topics(endpoints: Sequence[Endpoint]) -> Iterator[Problem]:
+def of_topics(endpoints: Sequence[Endpoint]) -> Iterator[GraphProblem]:
     """Compare publishers and subscriptions."""
     guesses = 0
     for each in sorted(connections(endpoints)):
@@ -118,7 +118,7 @@ def of_topics(endpoints: Sequence[Endpoint]) -> Iterator[Problem]:
             is_type = mismatch.policy == "type"
             kind = "incompatible_type" if is_type else "incompatible_qos"
             between = mismatch.publishers, mismatch.subscribers
-            yield Problem(kind, each.topic, str(mismatch), between)
+            yield GraphProblem(kind, each.topic, str(mismatch), between)
         if each.subscribers and not each.has_publisher:
             meant = ""
             if guesses < _MOST_GUESSES:
@@ -126,10 +126,10 @@ def of_topics(endpoints: Sequence[Endpoint]) -> Iterator[Problem]:
                 meant = _meant(each.topic, endpoints)
             kind = "misnamed_topic" if meant else "unpublished"
             text = f"no publisher; {listed(each.subscribers, _MANY)} subscribes to it{meant}"
-            yield Problem(kind, each.topic, text, sides[1:])
+            yield GraphProblem(kind, each.topic, text, sides[1:])
         if each.publishers and not each.subscribers:
             text = f"no subscription; {listed(each.publishers, _MANY)} publishes it"
-            yield Problem("unsubscribed", each.topic, text, sides[:1])
+            yield GraphProblem("unsubscribed", each.topic, text, sides[:1])
 
 
 def _meant(topic: str, endpoints: Sequence[Endpoint]) -> str:
@@ -140,7 +140,7 @@ def _meant(topic: str, endpoints: Sequence[Endpoint]) -> str:
     return ""
 
 
-def of_services(client: GraphClient, nodes: Iterable[NodeName]) -> Iterator[Problem]:
+def of_services(client: GraphClient, nodes: Iterable[NodeName]) -> Iterator[GraphProblem]:
     """Find services and actions that have clients and no server."""
     unserved = {name for name, _ in client.unserved_services()}
     if not unserved:
@@ -157,17 +157,17 @@ def of_services(client: GraphClient, nodes: Iterable[NodeName]) -> Iterator[Prob
     for name, every in sorted(clients.items()):
         kind = "action" if name in actions else "service"
         text = f"no server; {listed(sorted(every), _MANY)} has a client of this {kind}"
-        yield Problem("unserved", name, text, (tuple(sorted(every)),))
+        yield GraphProblem("unserved", name, text, (tuple(sorted(every)),))
 
 
-def of_names(nodes: Iterable[NodeName]) -> Iterator[Problem]:
+def of_names(nodes: Iterable[NodeName]) -> Iterator[GraphProblem]:
     """Find nodes that have the same name."""
     for name, count in sorted(Counter(each.full_name for each in nodes).items()):
         if count > 1:
-            yield Problem("same_name", name, f"{count} nodes have this name", ((name,),))
+            yield GraphProblem("same_name", name, f"{count} nodes have this name", ((name,),))
 
 
-def _is_ignored(problem: Problem, patterns: Sequence[str]) -> bool:
+def _is_ignored(problem: GraphProblem, patterns: Sequence[str]) -> bool:
     def matches(name: str) -> bool:
         return any(fnmatchcase(name, pattern) for pattern in patterns)
 
@@ -186,7 +186,7 @@ def _wait_until_quiet(client: GraphClient, limit: float) -> bool:
         time.sleep(_PAUSE)
 
 
-def _print(problems: Sequence[Problem]) -> None:
+def _print(problems: Sequence[GraphProblem]) -> None:
     if problems:
         rows = [(each.kind.replace("_", " "), each.name, each.text) for each in problems]
         lines = table(("PROBLEM", "NAME", "WHAT"), rows, words=2)

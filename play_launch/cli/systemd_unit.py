@@ -37,11 +37,11 @@ def systemd_unit(
     Run this as the user, in the folder and in the shell in which `play-launch replay CONFIG` works:
     the unit contains this user, this folder, and the ROS variables of the shell.
     """
-    from play_launch.deploy.unit import Service, unit_text  # noqa: PLC0415
+    from play_launch.deploy.unit import ServiceUnit, unit_text  # noqa: PLC0415
 
     loaded = _loaded(config.absolute(), arguments or ())
     environment, left_out = _environment(loaded)
-    service = Service(
+    service = ServiceUnit(
         config=loaded,
         program=program(),
         folder=Path.cwd(),

@@ -23,7 +23,7 @@ from play_launch.config.model import (
     WebConfig,
 )
 from play_launch.config.problems import ConfigError, Problem, Report
-from play_launch.config.resolve.expectations import Expectations
+from play_launch.config.resolve.expectations import ExpectedTopics
 from play_launch.config.resolve.machines import Placement, machines_at
 from play_launch.config.resolve.nodes import (
     NodeNames,
@@ -118,7 +118,7 @@ def _resolve(
     groups = GroupRules(loading.cgroups, at.at_key(_LOADING).value("cgroups"))
     machines = machines_at(at.value("machines"))
     placement = Placement(at, machines, None if document is None else document.machine)
-    expected = Expectations(placement)
+    expected = ExpectedTopics(placement)
     expected.add(at.value("expect"))
     _report_missing_packages(at, placement, machine)
     shared = SharedContext(files, environment, start_rules, names, groups, placement, expected)

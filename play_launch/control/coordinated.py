@@ -31,7 +31,7 @@ Met = tuple[str, str, str]
 _log = logging.getLogger(__name__)
 
 
-class Facts(Struct, frozen=True):
+class MeetRequest(Struct, frozen=True):
     """Arguments of ``meet``."""
 
     met: Annotated[tuple[tuple[Condition, str, str], ...], Meta(max_length=10_000)]
@@ -61,7 +61,7 @@ class Coordinated:
     async def clock(self, _request: object, _caller: Caller) -> object:
         return {"stamp_ns": time.time_ns(), "recording_ns": self._recording_clock()}
 
-    async def meet(self, request: Facts, _caller: Caller) -> object:
+    async def meet(self, request: MeetRequest, _caller: Caller) -> object:
         self._system.outside.tell(frozenset(request.met))
         return {"met": len(request.met)}
 

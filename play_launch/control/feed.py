@@ -28,7 +28,7 @@ _MISSED_PERIOD: Final = 5.0
 """Seconds between two reports of what a slow client missed."""
 
 
-class Limits(NamedTuple):
+class FeedLimits(NamedTuple):
     """How much is held; further messages displace the oldest ones."""
 
     events: int
@@ -39,9 +39,9 @@ class Limits(NamedTuple):
     """Characters of these lines."""
 
 
-KEPT: Final = Limits(events=2000, lines=300, text=64 * 1024)
+KEPT: Final = FeedLimits(events=2000, lines=300, text=64 * 1024)
 """Of recent events; the recording has all."""
-WAITING: Final = Limits(events=5000, lines=5000, text=256 * 1024)
+WAITING: Final = FeedLimits(events=5000, lines=5000, text=256 * 1024)
 """For one client."""
 
 _T = TypeVar("_T")
@@ -50,11 +50,11 @@ _T = TypeVar("_T")
 class Backlog(Generic[_T]):
     """The latest messages in their order; lines of a process displace only older lines of it."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: FeedLimits) -> None:
         self._limits = limits
         self._count = 0
         self._events: deque[tuple[int, _T]] = deque()
-        self._lines: dict[str, _Lines[_T]] = {}
+        self._lines: dict[str, _LinesOfProcess[_T]] = {}
 
     def append(self, message: _T, process: str = "", size: int = 0) -> int:
         """Take a message, and return how many it displaced.
@@ -64,7 +64,7 @@ class Backlog(Generic[_T]):
         self._count += 1
         numbered = (self._count, message)
         if process:
-            lines = self._lines.setdefault(process, _Lines())
+            lines = self._lines.setdefault(process, _LinesOfProcess())
             return lines.append(numbered, size, self._limits)
         self._events.append(numbered)
         if len(self._events) <= self._limits.events:
@@ -93,7 +93,7 @@ class Backlog(Generic[_T]):
         return message
 
 
-class _Lines(Generic[_T]):
+class _LinesOfProcess(Generic[_T]):
     """The last lines of one process."""
 
     def __init__(self) -> None:
@@ -101,7 +101,7 @@ class _Lines(Generic[_T]):
         self._sizes: deque[int] = deque()
         self._text = 0
 
-    def append(self, message: tuple[int, _T], size: int, limits: Limits) -> int:
+    def append(self, message: tuple[int, _T], size: int, limits: FeedLimits) -> int:
         self.messages.append(message)
         self._sizes.append(size)
         self._text += size
@@ -192,7 +192,7 @@ class Selection:
         return not self._loggers.isdisjoint(loggers_in(event.text))
 
 
-class Waiting:
+class ClientQueue:
     """Messages that wait for one client, which may read slowly or never."""
 
     def __init__(self) -> None:

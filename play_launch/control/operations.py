@@ -13,8 +13,8 @@ from msgspec.structs import replace
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import NODE_PARAMETERS
 from play_launch.control.actions import ActionLog, Actions
-from play_launch.control.coordinated import Coordinated, Facts, Lease
-from play_launch.control.feed import KINDS, Selection, Waiting, line_of, message_of
+from play_launch.control.coordinated import Coordinated, Lease, MeetRequest
+from play_launch.control.feed import KINDS, ClientQueue, Selection, line_of, message_of
 from play_launch.control.messages import (
     ActionRequest,
     ChangeRequest,
@@ -150,7 +150,7 @@ class Operations:
             "system": (Nothing, self._give_system),
             "apply": (ChangeRequest, apply),
             "clock": (Nothing, coordinated.clock),
-            "meet": (Facts, coordinated.meet),
+            "meet": (MeetRequest, coordinated.meet),
             "conditions": (Nothing, coordinated.conditions),
             "lease": (Lease, coordinated.lease),
             "end": (Nothing, coordinated.end),
@@ -233,7 +233,7 @@ class Operations:
             text = f"kinds: there are no events {min(wrong)!r:.80}; there are: {listed}"
             raise OperationError(Code.BAD_ARGUMENTS, text)
         targets = self._chosen(request.names) if request.names else None
-        selection, waiting = Selection(request.kinds, targets), Waiting()
+        selection, waiting = Selection(request.kinds, targets), ClientQueue()
 
         def append(each: Numbered) -> None:
             if selection.wants(each.event):

@@ -43,7 +43,7 @@ class Peer(NamedTuple):
     gid: int
 
 
-class Link(NamedTuple):
+class RegisteredSession(NamedTuple):
     """A registered session; its supervisor may have been killed since."""
 
     pid: int
@@ -130,17 +130,17 @@ def register(folder: str) -> Path:
     links.mkdir(mode=0o700, parents=True, exist_ok=True)
     if not _is_of(os.geteuid(), links):
         raise PermissionError(f"{links} belongs to another user")
-    path = links / Link(os.getpid(), folder, _stat("self")[1], _namespace()).name
+    path = links / RegisteredSession(os.getpid(), folder, _stat("self")[1], _namespace()).name
     path.unlink(missing_ok=True)  # of an earlier session of this process
     path.symlink_to(folder)
     return path
 
 
-def registered() -> list[Link]:
+def registered() -> list[RegisteredSession]:
     return _links_in(links_folder(), os.geteuid())
 
 
-def registered_by_others() -> list[tuple[int, Link]]:
+def registered_by_others() -> list[tuple[int, RegisteredSession]]:
     """List live sessions of other users, each with the uid; for root only."""
     if os.geteuid() != 0 or os.environ.get(LINKS):
         return []
@@ -156,12 +156,12 @@ def registered_by_others() -> list[tuple[int, Link]]:
     return []
 
 
-def is_registered(link: Link) -> bool:
+def is_registered(link: RegisteredSession) -> bool:
     """Whether the link still exists: a session that ends removes it first."""
     return (links_folder() / link.name).is_symlink()
 
 
-def is_alive(link: Link) -> bool:
+def is_alive(link: RegisteredSession) -> bool:
     """Whether the process that registered the session runs, in this PID namespace."""
     if not is_local(link):
         return False
@@ -172,11 +172,11 @@ def is_alive(link: Link) -> bool:
     return start_time == link.start_time and state not in _EXITED
 
 
-def is_local(link: Link) -> bool:
+def is_local(link: RegisteredSession) -> bool:
     return link.namespace == _namespace()
 
 
-def forget(link: Link) -> None:
+def forget(link: RegisteredSession) -> None:
     with contextlib.suppress(OSError):
         (links_folder() / link.name).unlink()
 
@@ -201,8 +201,8 @@ def address_of(folder: str) -> Iterator[str]:
         os.close(descriptor)
 
 
-def _links_in(links: Path, user: int) -> list[Link]:
-    found: list[tuple[int, Link]] = []
+def _links_in(links: Path, user: int) -> list[RegisteredSession]:
+    found: list[tuple[int, RegisteredSession]] = []
     if not _is_of(user, links):
         return []
     for path in links.iterdir():
@@ -211,7 +211,7 @@ def _links_in(links: Path, user: int) -> list[Link]:
             continue
         pid, start_time, namespace = map(int, numbers)
         with contextlib.suppress(OSError):
-            link = Link(pid, str(path.readlink()), start_time, namespace)
+            link = RegisteredSession(pid, str(path.readlink()), start_time, namespace)
             found.append((path.lstat().st_mtime_ns, link))
     return [link for _, link in sorted(found)]
 

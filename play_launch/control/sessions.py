@@ -17,7 +17,7 @@ from play_launch.control.client import TIMEOUT, ControlClient, SessionInfo
 from play_launch.control.protocol import Code, OperationError
 from play_launch.control.registration import (
     CONTROL_SOCKET,
-    Link,
+    RegisteredSession,
     forget,
     is_alive,
     is_local,
@@ -49,10 +49,10 @@ class AmbiguousSessionError(NoSessionError):
     """There are several; the text lists them."""
 
 
-class Found(NamedTuple):
+class SessionAnswer(NamedTuple):
     """A registered session and its answer."""
 
-    link: Link
+    link: RegisteredSession
     client: ControlClient | None
     """The connection, if the session has sent its hello."""
     answer: Any
@@ -119,7 +119,7 @@ def connect(session: str | None = None, *, limit: float = TIMEOUT) -> ControlCli
 
 def connect_to(folder: str, *, limit: float = TIMEOUT) -> ControlClient:
     """Connect to the session in a folder; raises NoSessionError, OperationError."""
-    return _client_of(_found(Link(0, folder, 0, 0), limit))
+    return _client_of(_found(RegisteredSession(0, folder, 0, 0), limit))
 
 
 def glance(operation: str, names: Sequence[str]) -> list[tuple[SessionInfo, list[dict[str, Any]]]]:
@@ -161,8 +161,8 @@ def twins(
 
 
 def find(
-    links: Sequence[Link], limit: float, operation: str = "", names: Sequence[str] = ()
-) -> list[Found]:
+    links: Sequence[RegisteredSession], limit: float, operation: str = "", names: Sequence[str] = ()
+) -> list[SessionAnswer]:
     """Connect to all of them at once, with a request if given; links of exited ones are removed.
 
     The caller closes the clients. A session that does not answer within ``limit`` seconds is
@@ -172,9 +172,9 @@ def find(
         return [_found(link, limit, operation, names) for link in links]
     from threading import Thread  # noqa: PLC0415 - for several sessions only
 
-    found: dict[Link, Found] = {}
+    found: dict[RegisteredSession, SessionAnswer] = {}
 
-    def query(link: Link) -> None:
+    def query(link: RegisteredSession) -> None:
         found[link] = _found(link, limit, operation, names)
 
     threads = [Thread(target=query, args=(link,), daemon=True) for link in links]
@@ -185,21 +185,23 @@ def find(
     return [found[link] for link in links]
 
 
-def close(found: Iterable[Found]) -> None:
+def close(found: Iterable[SessionAnswer]) -> None:
     for each in found:
         if each.client is not None:
             each.client.close()
 
 
-def _found(link: Link, limit: float, operation: str = "", names: Sequence[str] = ()) -> Found:
+def _found(
+    link: RegisteredSession, limit: float, operation: str = "", names: Sequence[str] = ()
+) -> SessionAnswer:
     deadline = time.monotonic() + limit
     try:
         client = ControlClient(link.folder, limit)
     except OperationError as error:  # something listens
-        return Found(link, None, None, error, is_alive=True, has_exited=False)
+        return SessionAnswer(link, None, None, error, is_alive=True, has_exited=False)
     except TimeoutError:
         problem = OperationError(Code.TIMEOUT, f"the session in {link.folder} does not answer")
-        return Found(link, None, None, problem, is_alive=True, has_exited=False)
+        return SessionAnswer(link, None, None, problem, is_alive=True, has_exited=False)
     except (OSError, EOFError) as error:
         return _without_session(link, _explained(link.folder, error))
     answer = None
@@ -209,17 +211,17 @@ def _found(link: Link, limit: float, operation: str = "", names: Sequence[str] =
             answer = client.ask(operation, {"names": list(names)}, limit=left)
         except OperationError:
             pass
-    return Found(link, client, answer, None, is_alive=True, has_exited=False)
+    return SessionAnswer(link, client, answer, None, is_alive=True, has_exited=False)
 
 
-def _client_of(found: Found) -> ControlClient:
+def _client_of(found: SessionAnswer) -> ControlClient:
     if found.client is None:
         assert found.problem is not None
         raise found.problem
     return found.client
 
 
-def _without_session(link: Link, error: NoSessionError) -> Found:
+def _without_session(link: RegisteredSession, error: NoSessionError) -> SessionAnswer:
     """Return what there is in place of a registered session."""
     lives = is_registered(link) and is_alive(link)
     has_exited = not is_registered(link) or (is_local(link) and not lives)
@@ -230,10 +232,10 @@ def _without_session(link: Link, error: NoSessionError) -> Found:
         )
     elif has_exited:
         forget(link)
-    return Found(link, None, None, error, is_alive=lives, has_exited=has_exited)
+    return SessionAnswer(link, None, None, error, is_alive=lives, has_exited=has_exited)
 
 
-def _without_parts(alive: list[Found]) -> list[Found]:
+def _without_parts(alive: list[SessionAnswer]) -> list[SessionAnswer]:
     """Leave out the local part of a system whose coordinator runs here too, and includes it."""
     hellos = [each.client.hello for each in alive if each.client is not None]
     whole = {hello.name for hello in hellos if not hello.machine}
@@ -251,7 +253,7 @@ def _is_folder(session: str) -> bool:
     return "/" in session or os.path.lexists(f"{session}/{CONTROL_SOCKET}")
 
 
-def _may_be_called(link: Link, session: str) -> bool:
+def _may_be_called(link: RegisteredSession, session: str) -> bool:
     """Whether a session may have that name, as far as its folder shows."""
     name = Path(link.folder).name
     if name == session or not _STAMP.match(name):
@@ -265,11 +267,11 @@ def _is_called(client: ControlClient, session: str) -> bool:
     return session in {client.hello.name, Path(client.hello.folder).name}
 
 
-def _listed(found: Iterable[Found]) -> str:
+def _listed(found: Iterable[SessionAnswer]) -> str:
     return "\n".join(f"  {_line(each)}" for each in found)
 
 
-def _line(found: Found) -> str:
+def _line(found: SessionAnswer) -> str:
     if found.client is not None:
         hello = found.client.hello
         return f"{hello.pid:>8}  {hello.name}  {hello.folder}"

@@ -81,7 +81,7 @@ EnvironmentFile=-{file}
 _NETWORK: Final = "Wants=network-online.target\nAfter=network-online.target\n"
 
 
-class Service(Struct, frozen=True, kw_only=True):
+class ServiceUnit(Struct, frozen=True, kw_only=True):
     """Values of the unit."""
 
     config: ReplayConfig
@@ -104,7 +104,7 @@ class Service(Struct, frozen=True, kw_only=True):
         return "".join(kept).strip("-") or "play-launch"
 
 
-def unit_text(service: Service) -> str:
+def unit_text(service: ServiceUnit) -> str:
     config, user = service.config, service.user
     variables = {**service.environment, **config.environment}
     is_local = variables.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() in {"LOCALHOST", "OFF"}
@@ -136,7 +136,7 @@ def unit_text(service: Service) -> str:
     )
 
 
-def _command(service: Service, *words: str) -> str:
+def _command(service: ServiceUnit, *words: str) -> str:
     every = (str(service.program), *words, str(service.config.source), *service.arguments)
     return " ".join(map(argument, every))
 

@@ -26,7 +26,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo, TopicEndpointTypeEnum
 from play_launch.graph_daemon.contract import GRAPH_METHODS, NODE_PREFIX
 from play_launch.graph_daemon.xml_rpc import register_scalar, register_struct
 from play_launch.ros.fastdds.own_participant import as_our_own, made_safely
-from play_launch.ros.waiting import Waiting
+from play_launch.ros.waiting import Waiter
 from play_launch.supervisor.endpoints import UNCHECKED
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class RosGraph:
                     )
             self.name = str(self.node.get_name())
             """Without its namespace, which is the root."""
-            self._watch = Waiting(self.node, on_change)
+            self._watch = Waiter(self.node, on_change)
         except BaseException:
             self._context.try_shutdown()
             raise

@@ -94,7 +94,7 @@ OUTPUTS: Final = frozenset({"screen", "log", "both", "own_log", "full"})
 """What launch knows to do with the output of a process."""
 
 
-class _Unit(Struct, kw_only=True, omit_defaults=True):
+class _Launched(Struct, kw_only=True, omit_defaults=True):
     """What processes and composable nodes have in common.
 
     `id` is unique in a description. `where` is for reports, and empty for the place of `origin`. An
@@ -130,7 +130,7 @@ class _Unit(Struct, kw_only=True, omit_defaults=True):
         return self.where or " ".join(filter(None, (str(self.origin), self.full_name)))
 
 
-class LaunchedProcess(_Unit, kw_only=True, tag="process", omit_defaults=True):
+class LaunchedProcess(_Launched, kw_only=True, tag="process", omit_defaults=True):
     """A process: an ordinary command, a node, or a container.
 
     `for_others` is what other nodes in the process get of `sources`, in rcl's order: all sections
@@ -167,7 +167,7 @@ class LaunchedProcess(_Unit, kw_only=True, tag="process", omit_defaults=True):
     sigkill_timeout: float | None = None
 
 
-class Composable(_Unit, kw_only=True, tag="composable", omit_defaults=True):
+class Composable(_Launched, kw_only=True, tag="composable", omit_defaults=True):
     """A composable node; `container` is the full name of its container."""
 
     plugin: str = ""

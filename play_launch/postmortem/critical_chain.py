@@ -30,7 +30,7 @@ _RESULTS: Final = {
 """Of a condition that was met, and of one that is not."""
 
 
-class Step(Struct, frozen=True):
+class ChainStep(Struct, frozen=True):
     """What one unit spent its time with."""
 
     what: str
@@ -48,7 +48,7 @@ class Link(Struct, frozen=True):
     """``loaded``, ``not active yet`` and so on."""
     at_ns: int
     """Log time of that; 0: it has not come to it."""
-    steps: tuple[Step, ...]
+    steps: tuple[ChainStep, ...]
     """From when the one before had come so far."""
 
     def text(self, started_ns: int) -> str:
@@ -152,7 +152,7 @@ def _met_ns(unit: Unit, condition: Condition) -> int:
     return 0
 
 
-def _steps(wait: _Wait, since_ns: int, until_ns: int) -> Iterator[Step]:
+def _steps(wait: _Wait, since_ns: int, until_ns: int) -> Iterator[ChainStep]:
     unit = wait.unit
     why = f" ({unit.waited})" if unit.waited else ""
     stays = [(f"it waited to be started{why}", unit.begun_ns), ("it was starting", unit.ready_ns)]
@@ -168,5 +168,5 @@ def _steps(wait: _Wait, since_ns: int, until_ns: int) -> Iterator[Step]:
         # What has no end yet lasts.
         end = min(end_ns or until_ns, until_ns)
         if end - since_ns >= _BRIEF:
-            yield Step(what, end - since_ns)
+            yield ChainStep(what, end - since_ns)
         since_ns = max(since_ns, end)

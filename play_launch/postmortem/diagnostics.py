@@ -60,7 +60,7 @@ class LevelChange(Struct, frozen=True):
         return f"{self.status} ({self.hardware})" if self.hardware else self.status
 
 
-class Status(Struct):
+class DiagnosticStatus(Struct):
     """One status, by its name."""
 
     seen_ns: int = 0
@@ -79,7 +79,7 @@ class Diagnostics:
 
     def __init__(self, session: PastSession | None) -> None:
         """Take what was recorded of a session; None: what is reported now."""
-        self.statuses: dict[str, Status] = {}
+        self.statuses: dict[str, DiagnosticStatus] = {}
         """By name."""
         self._session = session
         self._look_ns = 0
@@ -113,7 +113,7 @@ class Diagnostics:
             if status is None:
                 if len(self.statuses) >= _MOST_STATUSES:
                     continue
-                status = self.statuses[name] = Status()
+                status = self.statuses[name] = DiagnosticStatus()
             status.seen_ns, status.report = at_ns, report
             if report["level"] != status.level or status.is_silent:
                 hardware, said = report["hardware_id"], report["message"]
@@ -133,7 +133,7 @@ class Diagnostics:
         ]
         return [_changed(status, self._silence(name, status)) for name, status in silent]
 
-    def _silence(self, name: str, status: Status) -> LevelChange:
+    def _silence(self, name: str, status: DiagnosticStatus) -> LevelChange:
         at_ns, hardware = status.seen_ns + self.stale_ns, status.report["hardware_id"]
         said = f"it was not reported for {self.stale_ns / 1e9:g} s"
         return LevelChange(name, hardware, at_ns, STALE, said, is_silence=True)
@@ -153,7 +153,7 @@ def reports_of(array: DiagnosticArray) -> list[dict[str, Any]]:
     ]
 
 
-def status_object(name: str, status: Status) -> dict[str, Any]:
+def status_object(name: str, status: DiagnosticStatus) -> dict[str, Any]:
     """Give a status as plain values: its level, since when, and its last report."""
     latest = status.changes[-1]
     return {
@@ -171,7 +171,7 @@ def level_name(level: int) -> str:
     return LEVELS[level] if level < len(LEVELS) else f"level {level}"
 
 
-def _changed(status: Status, change: LevelChange) -> LevelChange:
+def _changed(status: DiagnosticStatus, change: LevelChange) -> LevelChange:
     status.level, status.is_silent = change.level, change.is_silence
     if len(status.changes) < _MOST_CHANGES:
         status.changes.append(change)

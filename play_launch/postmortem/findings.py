@@ -15,7 +15,7 @@ from play_launch.postmortem.parameters import ParametersOfALife  # noqa: TC001 -
 from play_launch.postmortem.samples import Trend  # noqa: TC001 - as above
 from play_launch.postmortem.source_lines import Module, SourceLine  # noqa: TC001 - as above
 from play_launch.postmortem.units import Downtime  # noqa: TC001 - as above
-from play_launch.supervisor.frames import Frame, Signature  # noqa: TC001 - fields of a Struct
+from play_launch.supervisor.frames import Signature, StackFrame  # noqa: TC001 - fields of a Struct
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class DeclaredPlace(Struct, frozen=True, kw_only=True):
     """Where something happened; what is not known is empty."""
 
-    frame: Frame | None = None
+    frame: StackFrame | None = None
     line: SourceLine | None = None
     package: str = ""
     plugin: str = ""
@@ -58,7 +58,7 @@ class Finding(Struct, frozen=True, kw_only=True):
     known: str = ""
     """Name of the well-known cause, see `play_launch.postmortem.known_causes`."""
     place: DeclaredPlace = DeclaredPlace()
-    frames: tuple[Frame, ...] = ()
+    frames: tuple[StackFrame, ...] = ()
     lines: tuple[SourceLine | None, ...] = ()
     """Of each frame; empty before they are looked up."""
     modules: tuple[Module, ...] = ()

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from play_launch.postmortem.findings import Finding
-    from play_launch.supervisor.frames import Frame
+    from play_launch.supervisor.frames import StackFrame
 
 _LIMIT: Final = 10.0
 """Seconds for one library; large ones take one or two."""
@@ -196,7 +196,7 @@ def _with_lines(finding: Finding, found: Mapping[Module, _Lines | str]) -> Findi
     )
 
 
-def _with_function(frame: Frame, line: SourceLine | None) -> Frame:
+def _with_function(frame: StackFrame, line: SourceLine | None) -> StackFrame:
     """Name what the container had no time to look up."""
     if frame.function or line is None or not line.function:
         return frame

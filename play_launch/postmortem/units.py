@@ -22,7 +22,7 @@ from play_launch.supervisor.events import (
     ProcessEventKind,
     SubjectKind,
 )
-from play_launch.supervisor.frames import Frame, Signature, frame_of, signature_of
+from play_launch.supervisor.frames import Signature, StackFrame, frame_of, signature_of
 from play_launch.supervisor.outcome import BLOCKED_AFTER, Cause, Sequel
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class Failure(Struct, kw_only=True):
     """In the words of the recording."""
     code: Cause = Cause.NONE
     signature: Signature | None = None
-    frames: tuple[Frame, ...] = ()
+    frames: tuple[StackFrame, ...] = ()
     modules: tuple[Module, ...] = ()
     plugin: str = ""
     package: str = ""

@@ -11,7 +11,7 @@ from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import get_parameter_value, parameter_value_to_python
 
 from play_launch.ros.thread import open_node
-from play_launch.ros.waiting import Waiting
+from play_launch.ros.waiting import Waiter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +31,7 @@ class NodeServices:
 
     def __init__(self) -> None:
         self._context, self._node, _ = open_node(f"_play_launch_command_{os.getpid()}")
-        self._waiting = Waiting(self._node, lambda: None)
+        self._waiting = Waiter(self._node, lambda: None)
 
     def __enter__(self) -> Self:
         return self

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rclpy.context import Context
     from rclpy.node import Node
 
-    from play_launch.ros.waiting import Waiting
+    from play_launch.ros.waiting import Waiter
 
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
@@ -222,16 +222,16 @@ class RosThread:
             node.destroy_node()  # type: ignore[no-untyped-call]
             context.try_shutdown()
 
-    def _open(self) -> tuple[Context, Node, Waiting]:
-        from play_launch.ros.waiting import Waiting  # noqa: PLC0415 - imports rclpy
+    def _open(self) -> tuple[Context, Node, Waiter]:
+        from play_launch.ros.waiting import Waiter  # noqa: PLC0415 - imports rclpy
 
         context, node, self.rmw_implementation = open_node(self.name, self._domain_id)
-        waiting = Waiting(node, self._graph_changed)
+        waiting = Waiter(node, self._graph_changed)
         self._wake = waiting.wake
         self.domain_id = context.get_domain_id()
         return context, node, waiting
 
-    def _wait(self, waiting: Waiting) -> None:
+    def _wait(self, waiting: Waiter) -> None:
         try:
             waiting.wait()
         except Exception:

@@ -69,7 +69,7 @@ class GraphGuard:
         return index.value
 
 
-class Waiting:
+class Waiter:
     """Waits in the thread that a node belongs to, for its clients and subscriptions."""
 
     def __init__(self, node: Node, on_graph_change: Callable[[], None]) -> None:

@@ -32,7 +32,7 @@ _FRAMES: Final = 4
 """Frames of a signature: enough to tell places apart, few enough for callers to change."""
 
 
-class Frame(Struct, frozen=True):
+class StackFrame(Struct, frozen=True):
     """One line of a backtrace; what it does not say is empty or 0."""
 
     text: str
@@ -72,17 +72,17 @@ class Signature(Struct, frozen=True, order=True):
         return f"{self.what} in {self.frames[0]}" if self.frames else self.what
 
 
-def frame_of(line: str) -> Frame:
+def frame_of(line: str) -> StackFrame:
     """Read one line of a backtrace as containers write it."""
     text = _NUMBER.sub("", line, count=1)
     found = _IN_FUNCTION.fullmatch(text)
     if found is not None:
-        return Frame(line, found["function"], found["library"], int(found["offset"], 16))
+        return StackFrame(line, found["function"], found["library"], int(found["offset"], 16))
     found = _IN_LIBRARY.fullmatch(text)
-    return Frame(line) if found is None else Frame(line, "", found[1], int(found[2], 16))
+    return StackFrame(line) if found is None else StackFrame(line, "", found[1], int(found[2], 16))
 
 
-def blamed(frames: Sequence[Frame]) -> int | None:
+def blamed(frames: Sequence[StackFrame]) -> int | None:
     """Choose the frame to show first: the innermost one of the user's code, else of any library."""
     own = [number for number, frame in enumerate(frames) if frame.is_own]
     libraries = [n for n, frame in enumerate(frames) if frame.library and not frame.is_runtime]
@@ -95,7 +95,7 @@ def blamed_line(backtrace: Sequence[str]) -> str:
     return "" if at is None else backtrace[at]
 
 
-def signature_of(what: str, frames: Iterable[Frame], name: str) -> Signature:
+def signature_of(what: str, frames: Iterable[StackFrame], name: str) -> Signature:
     """Make the signature of a crash; ``name`` stands for the place where no frame is known."""
     known = [frame for frame in frames if frame.library]
     chosen = [frame for frame in known if frame.is_own]

@@ -42,7 +42,7 @@ class _Input(Struct, frozen=True, tag=True, omit_defaults=True):
     pass
 
 
-class Report(_Input, frozen=True):
+class UnitReport(_Input, frozen=True):
     """A report about one start of a process; about an earlier one, it changes nothing."""
 
     unit: str
@@ -53,7 +53,7 @@ class Time(_Input, frozen=True):
     """The session begins, or something is due."""
 
 
-class Started(Report, frozen=True):
+class Started(UnitReport, frozen=True):
     """A process runs."""
 
     pid: int
@@ -61,7 +61,7 @@ class Started(Report, frozen=True):
     argv: tuple[str, ...] = ()
 
 
-class NotStarted(Report, frozen=True):
+class NotStarted(UnitReport, frozen=True):
     """A process could not be started."""
 
     reason: str
@@ -69,13 +69,13 @@ class NotStarted(Report, frozen=True):
     """Whether the next start would fail in the same way."""
 
 
-class Greeted(Report, frozen=True):
+class Greeted(UnitReport, frozen=True):
     """A container sent its hello message: it is ready."""
 
     hello: Hello
 
 
-class Faulty(Report, frozen=True):
+class Faulty(UnitReport, frozen=True):
     """A process has to be killed: it is frozen, or its control channel failed."""
 
     reason: str
@@ -84,17 +84,17 @@ class Faulty(Report, frozen=True):
     cause: Cause = Cause.CHANNEL_FAILED
 
 
-class Exited(Report, frozen=True):
+class Exited(UnitReport, frozen=True):
     """A process exited, and all that it sent before was processed."""
 
     exit: Exit
 
 
-class CleanedUp(Report, frozen=True):
+class CleanedUp(UnitReport, frozen=True):
     """Nothing of an exited process is left."""
 
 
-class Unkillable(Report, frozen=True):
+class Unkillable(UnitReport, frozen=True):
     """A process lives on after the last signal of its stop."""
 
 
@@ -105,7 +105,7 @@ class Failed(_Input, frozen=True):
     reason: str
 
 
-class NodeReported(Report, frozen=True, kw_only=True):
+class NodeReported(UnitReport, frozen=True, kw_only=True):
     """A container reported something about one node."""
 
     said: NodeFact
@@ -120,7 +120,7 @@ class NodeReported(Report, frozen=True, kw_only=True):
     cause: Cause = Cause.NONE
 
 
-class HealthReported(Report, frozen=True):
+class HealthReported(UnitReport, frozen=True):
     """A container reported its health in the answer to a query."""
 
     leaked: int = 0

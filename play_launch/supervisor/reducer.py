@@ -83,9 +83,9 @@ class Reduction:
 def reduce(world: World, said: Input, now: float, chance: float = 0.5) -> list[Effect]:
     """Change the world as an input says, and give the effects that are to be carried out."""
     step = Reduction(world, now, chance)
-    unit = said.unit if isinstance(said, inputs.Report) else ""
+    unit = said.unit if isinstance(said, inputs.UnitReport) else ""
     try:
-        if not isinstance(said, inputs.Report) or _is_current(world, said):
+        if not isinstance(said, inputs.UnitReport) or _is_current(world, said):
             _RULES[type(said)](step, said)
     except Exception as error:  # noqa: BLE001 - the other units continue
         step.effects.append(inputs.Raised(unit, error))
@@ -104,7 +104,7 @@ def deadline(world: World) -> float | None:
     return min((at for at in times if at is not None), default=None)
 
 
-def _is_current(world: World, said: inputs.Report) -> bool:
+def _is_current(world: World, said: inputs.UnitReport) -> bool:
     """Whether a report is about the latest start of a process; others change nothing."""
     process = world.processes.get(said.unit)
     return process is not None and process.attempt == said.start and process.is_present

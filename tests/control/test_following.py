@@ -9,7 +9,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.control.feed import Backlog, Limits
+from play_launch.control.feed import Backlog, FeedLimits
 from play_launch.control.protocol import encode
 from play_launch.control.sessions import connect_to
 from tests.support.replay import replaying, run
@@ -66,7 +66,7 @@ def test_what_floods_displaces_only_its_own_lines(tmp_path: Path) -> None:
 def test_a_backlog_keeps_the_order_and_its_limits(
     given: list[tuple[str, int, bool]], count: int, text: int
 ) -> None:
-    backlog: Backlog[int] = Backlog(Limits(events=count, lines=count, text=text))
+    backlog: Backlog[int] = Backlog(FeedLimits(events=count, lines=count, text=text))
     expected: dict[str, list[tuple[int, int]]] = {"": [], "a": [], "b": []}
     for number, (process, size, pops) in enumerate(given):
         held = expected[process]

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from play_launch.config.load import parse_config
 from play_launch.config.model import ReplayConfig
 from play_launch.config.problems import ConfigError
-from play_launch.deploy.unit import Service, carried, is_acceptable, stop_seconds, unit_text
+from play_launch.deploy.unit import ServiceUnit, carried, is_acceptable, stop_seconds, unit_text
 from tests.support.replay import COMMAND, run
 
 from .units import settings_of, verify, words
@@ -23,7 +23,7 @@ from .units import settings_of, verify, words
 SLEEP: dict[str, Any] = {"command": ["sleep", "9"]}
 
 
-def service(**more: Any) -> Service:
+def service(**more: Any) -> ServiceUnit:
     keys = more.pop("keys", {"nodes": [{**SLEEP, "name": "p"}]})
     path = Path(more.pop("path", "/etc/robots/robot.yaml"))
     made: dict[str, Any] = {
@@ -34,7 +34,7 @@ def service(**more: Any) -> Service:
         "environment": {},
         **more,
     }
-    return Service(**made)
+    return ServiceUnit(**made)
 
 
 def limits_of(**keys: Any) -> dict[str, str]:

@@ -20,7 +20,7 @@ from play_launch.postmortem.source_lines import (
     module_of,
     read_elf,
 )
-from play_launch.supervisor.frames import Frame, Signature, frame_of
+from play_launch.supervisor.frames import Signature, StackFrame, frame_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -54,13 +54,15 @@ class Library:
 
     def ask(self, *offsets: int, module: Module | None = None, is_fault: bool) -> Finding:
         module = module or self.module
-        frames = [Frame("", "", module.name, offset) for offset in offsets]
+        frames = [StackFrame("", "", module.name, offset) for offset in offsets]
         signature = Signature("SIGSEGV" if is_fault else "SIGABRT", ())
         (found,) = located([crash(frames, module, signature=signature)], (self.folder,))
         return found
 
 
-def crash(frames: Iterable[Frame], *modules: Module, signature: Signature | None = None) -> Finding:
+def crash(
+    frames: Iterable[StackFrame], *modules: Module, signature: Signature | None = None
+) -> Finding:
     return Finding(
         kind="crashed",
         rank=0,
@@ -220,7 +222,9 @@ def test_a_library_is_read_once_for_all_findings(
     tool.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tool.parent}:{os.environ['PATH']}")
     places = (library.address("add"), library.address("other"))
-    findings = [crash([Frame("", "f", "libadd.so", at + 1)], library.module) for at in places * 10]
+    findings = [
+        crash([StackFrame("", "f", "libadd.so", at + 1)], library.module) for at in places * 10
+    ]
     findings.insert(3, Finding(kind="unfinished", rank=7, says="", times_ns=(1,)))
     found = located(findings, (library.folder,))
     assert runs.read_text() == "run\n"
@@ -238,7 +242,7 @@ def test_a_function_that_the_container_had_no_time_to_look_up_is_named(library: 
 
 
 def test_a_library_that_the_recording_does_not_describe_is_named() -> None:
-    (found,) = located([crash([Frame("", "", "libold.so", 5)])])
+    (found,) = located([crash([StackFrame("", "", "libold.so", 5)])])
     text = "the recording does not say which build libold.so was"
     assert found.problems == (f"no source line: {text}",)
 

@@ -25,7 +25,7 @@ from play_launch.ros.access import GraphSource, Wanted
 from play_launch.ros.composition import CompositionClient
 from play_launch.ros.parameters import ParameterSetter
 from play_launch.ros.thread import NodePool, RosThread, RosThreadError
-from play_launch.ros.waiting import GraphGuard, GraphGuardError, Waiting
+from play_launch.ros.waiting import GraphGuard, GraphGuardError, Waiter
 from tests.support.container import running_container
 
 TIMEOUT = 60.0
@@ -298,7 +298,7 @@ async def test_a_domain_that_could_not_be_joined_is_joined_the_next_time(
     """As after a time in which /dev/shm was full."""
     failures = iter([OSError("no space"), LookupError("joined")])
 
-    def fails(_: RosThread) -> tuple[Context, Node, Waiting]:
+    def fails(_: RosThread) -> tuple[Context, Node, Waiter]:
         raise next(failures)
 
     monkeypatch.setattr(RosThread, "_open", fails)

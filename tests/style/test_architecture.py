@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "architecture.md"
+BOTH_SIDES = {"Applying", "Exit", "Hello", "Load", "Query", "Unload"}
+"""What the supervisor decides, and what a process, a container or other machines get or tell."""
 PAGES = (PAGE, ROOT / "CONTRIBUTING.md")
 PYTHON, NATIVE = ROOT / "play_launch", ROOT / "container_native" / "src"
 ROOTS = (ROOT, PYTHON, NATIVE)
 
+_CLASS = re.compile(r"^class (\w+)", re.MULTILINE)
 _PATH = re.compile(r"`([\w./]+/[\w.]*)`(?:: ((?:`\w+`(?:, )?)+))?")
 
 
@@ -50,3 +54,9 @@ def test_every_room_is_in_the_table() -> None:
     rooms = {path.parent for path in PYTHON.glob("*/__init__.py")}
     rooms |= {path for path in NATIVE.iterdir() if path.is_dir()}
     assert {str(room.relative_to(ROOT)) for room in rooms} == named
+
+
+def test_a_class_name_stands_once_but_for_both_sides_of_one_thing() -> None:
+    texts = (each.read_text() for each in (ROOT / "play_launch").rglob("*.py"))
+    names = Counter(name for text in texts for name in _CLASS.findall(text))
+    assert {name for name, times in names.items() if times > 1} == BOTH_SIDES

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.supervisor.frames import (
-    Frame,
+    StackFrame,
     blamed,
     blamed_line,
     frame_of,
@@ -23,9 +23,9 @@ LIBRARIES = st.sampled_from(["libdemo.so", "librobot.so.1", "program"])
 @given(st.integers(0, 99), FUNCTIONS, OFFSETS, LIBRARIES, OFFSETS)
 def test_a_frame_is_read(number: int, function: str, inside: int, library: str, at: int) -> None:
     text = f"#{number} {function}+0x{inside:x} ({library}+0x{at:x})"
-    assert frame_of(text) == Frame(text, function, library, at)
+    assert frame_of(text) == StackFrame(text, function, library, at)
     text = f"#{number} {library}+0x{at:x}"
-    assert frame_of(text) == Frame(text, "", library, at)
+    assert frame_of(text) == StackFrame(text, "", library, at)
 
 
 @given(st.text(max_size=50))
@@ -34,18 +34,18 @@ def test_what_is_no_frame_is_kept_as_text(text: str) -> None:
 
 
 def test_an_address_without_a_library_is_a_frame_without_a_place() -> None:
-    assert frame_of("#0 0x4141") == Frame("#0 0x4141")
+    assert frame_of("#0 0x4141") == StackFrame("#0 0x4141")
 
 
 @given(st.lists(st.tuples(FUNCTIONS, LIBRARIES), min_size=1, max_size=9), st.data())
 def test_addresses_do_not_matter_for_a_signature(
     calls: list[tuple[str, str]], data: st.DataObject
 ) -> None:
-    def frame(number: int, function: str, library: str) -> Frame:
+    def frame(number: int, function: str, library: str) -> StackFrame:
         inside, at = data.draw(OFFSETS), data.draw(OFFSETS)
         return frame_of(f"#{number} {function}+0x{inside:x} ({library}+0x{at:x})")
 
-    def trace() -> list[Frame]:
+    def trace() -> list[StackFrame]:
         return [frame(number, *call) for number, call in enumerate(calls)]
 
     first = signature_of("SIGSEGV", trace(), "/talker")

@@ -111,7 +111,7 @@ class _Page:
         self._commands = commands
         self._may_act = right is Right.ACT
         self._seen = -1
-        self._story: _Story | None = None
+        self._story: _UnitDialog | None = None
         _style()
         client = ui.context.client
         client.on_connect(watch.enter)
@@ -212,7 +212,7 @@ class _Page:
         if row is None:
             ui.notify("it is not part of the system any more")
             return
-        self._story = _Story(
+        self._story = _UnitDialog(
             self._watch, self._commands, row, may_act=self._may_act, closed=self._closed
         )
         await self._story.fill()
@@ -275,7 +275,7 @@ def _panel(title: str, waiting: str, ask: Callable[[], Awaitable[list[tuple[str,
     panel = ui.expansion(title, on_value_change=show).classes("w-full")
 
 
-class _Story:
+class _UnitDialog:
     """All about one unit, in a dialog, with what may be done to it."""
 
     def __init__(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _EXPECTABLE: Final = "give " + ", ".join(key for key in ExpectationSection.keys if key != "machine")
 
 
-class Expectations:
+class ExpectedTopics:
     """Collects them, a topic once.
 
     Attributes:

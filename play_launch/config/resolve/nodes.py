@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping as Variables
 
     from play_launch.config.problems import Location
-    from play_launch.config.resolve.expectations import Expectations
+    from play_launch.config.resolve.expectations import ExpectedTopics
     from play_launch.config.resolve.machines import Placement
     from play_launch.config.resolve.order import StartRules
     from play_launch.config.resolve.parameter_files import ParameterFileReader
@@ -143,7 +143,7 @@ class SharedContext(Struct, frozen=True):
     names: NodeNames
     groups: GroupRules
     placement: Placement
-    expected: Expectations
+    expected: ExpectedTopics
     machine: str = ""
     """Where what is being read runs."""
 

@@ -65,7 +65,7 @@ class SessionGone(LinkLost):
         super().__init__(f"its session does not answer: {reason}")
 
 
-class Output(NamedTuple):
+class Printed(NamedTuple):
     """What a command printed."""
 
     status: int
@@ -97,7 +97,7 @@ class Host(Protocol):
 
     async def run(
         self, script: str, limit: float | None = _COMMAND_LIMIT, data: bytes = b""
-    ) -> Output:
+    ) -> Printed:
         """Run a script with `data` as its input, for `limit` seconds at most."""
         ...
 
@@ -194,9 +194,9 @@ def _marked(script: str) -> str:
     return f"echo {_MARKER}\n{script}"
 
 
-def _output(status: int, stdout: bytes, stderr: bytes) -> Output:
+def _output(status: int, stdout: bytes, stderr: bytes) -> Printed:
     said, why = (each.decode(errors="replace") for each in (stdout, stderr))
-    return Output(status, said.partition(f"{_MARKER}\n")[2], why.strip())
+    return Printed(status, said.partition(f"{_MARKER}\n")[2], why.strip())
 
 
 class LocalHost:
@@ -206,7 +206,7 @@ class LocalHost:
 
     async def run(
         self, script: str, limit: float | None = _COMMAND_LIMIT, data: bytes = b""
-    ) -> Output:
+    ) -> Printed:
         process = await asyncio.create_subprocess_exec(
             *("bash", "--norc", "--noprofile", "-c", _marked(script)),
             stdin=asyncio.subprocess.PIPE,
@@ -217,7 +217,7 @@ class LocalHost:
             async with asyncio.timeout(limit):
                 stdout, stderr = await process.communicate(data)
         except TimeoutError:
-            return Output(124, "", f"it took longer than {limit:g} s")
+            return Printed(124, "", f"it took longer than {limit:g} s")
         finally:
             if process.returncode is None:  # it took too long, or is not waited for
                 process.kill()
@@ -304,7 +304,7 @@ class SshHost:
 
     async def run(
         self, script: str, limit: float | None = _COMMAND_LIMIT, data: bytes = b""
-    ) -> Output:
+    ) -> Printed:
         command = f"exec bash --norc --noprofile -c {shlex.quote(_marked(script))}"
         with self._losses():
             found = await self._connection.run(command, input=data, timeout=limit, encoding=None)

@@ -12,7 +12,7 @@ from msgspec import json, to_builtins
 
 from play_launch.config.model import ContainerConfig
 from play_launch.config.node_key import NodeKey
-from play_launch.control.feed import KEPT, Backlog, Waiting
+from play_launch.control.feed import KEPT, Backlog, ClientQueue
 from play_launch.control.messages import (
     ChangeRequest,
     EventsRequest,
@@ -308,7 +308,7 @@ class Requests:
         """Send the events of all machines, as `events` of one session does."""
         targets = self._by_machine("events", request.names) if request.names else None
         wanted = _Wanted(request, targets)
-        waiting = Waiting()
+        waiting = ClientQueue()
 
         def append(event: dict[str, Any]) -> None:
             if wanted(event):

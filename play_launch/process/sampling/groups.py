@@ -23,7 +23,7 @@ _ATTEMPTS: Final = 3
 """A process may be sampled before it has entered its group."""
 
 
-class _Known(Struct):
+class _KnownGroup(Struct):
     group: Group
     number: int
     due: float
@@ -36,7 +36,7 @@ class GroupSampler:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._known: dict[Target, _Known | int] = {}
+        self._known: dict[Target, _KnownGroup | int] = {}
         """For a process without a group, the remaining attempts to find it."""
 
     def sample(
@@ -66,15 +66,15 @@ class GroupSampler:
         return samples, news
 
 
-def _found(target: Target, known: _Known | int, now: float) -> _Known | int:
-    if isinstance(known, _Known) or known == 0:
+def _found(target: Target, known: _KnownGroup | int, now: float) -> _KnownGroup | int:
+    if isinstance(known, _KnownGroup) or known == 0:
         return known
     group = group_of(target.pid)
     number = group.number if group is not None else 0
-    return known - 1 if group is None or not number else _Known(group, number, now)
+    return known - 1 if group is None or not number else _KnownGroup(group, number, now)
 
 
-def _news(name: str, known: _Known) -> Iterator[str]:
+def _news(name: str, known: _KnownGroup) -> Iterator[str]:
     """Report increments of the group itself: that of a container includes its nodes."""
     group = known.group
     kills = sum(

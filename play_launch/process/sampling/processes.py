@@ -65,7 +65,7 @@ def _of_container(container: ContainerView) -> list[Target]:
     ]
 
 
-class _Known(Struct):
+class _KnownProcess(Struct):
     """State of a process from one sample to the next."""
 
     process: psutil.Process
@@ -81,7 +81,7 @@ class Sampler:
     """Measures processes again and again. It belongs to one thread at a time."""
 
     def __init__(self) -> None:
-        self._known: dict[Target, _Known] = {}
+        self._known: dict[Target, _KnownProcess] = {}
 
     def sample(self, targets: Sequence[Target], stamp_ns: int) -> list[ProcessSample]:
         """Measure these processes; exited ones are left out."""
@@ -100,16 +100,16 @@ class Sampler:
         return list(samples.values())
 
 
-def _first(target: Target) -> _Known:
+def _first(target: Target) -> _KnownProcess:
     process = psutil.Process(target.pid)
     start_time = read_stat(target.pid).start_time
     if target.start_time not in (0, start_time):
         raise NoSuchProcessError(target.pid)
-    return _Known(process, start_time, 0, start_time * _NS // _TICKS)
+    return _KnownProcess(process, start_time, 0, start_time * _NS // _TICKS)
 
 
 def _sample(
-    target: Target, known: _Known, host: ProcessSample | None, stamp_ns: int
+    target: Target, known: _KnownProcess, host: ProcessSample | None, stamp_ns: int
 ) -> ProcessSample:
     try:
         cpu_ns = time.clock_gettime_ns(~target.pid << 3 | 2)  # clock_getcpuclockid(3)
@@ -131,7 +131,7 @@ def _sample(
     )
 
 
-def _details(target: Target, known: _Known, *, is_host: bool) -> ProcessSample:
+def _details(target: Target, known: _KnownProcess, *, is_host: bool) -> ProcessSample:
     process = known.process
     memory, kind, descriptors = 0, MemoryKind.RSS, 0
     with process.oneshot():
