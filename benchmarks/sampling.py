@@ -20,7 +20,7 @@ from benchmarks.bring_up import configuration, shares
 from benchmarks.running import running
 from benchmarks.statistics import header, row
 from play_launch.process.cgroups.group import GroupError
-from play_launch.process.cgroups.session import delegated_group
+from play_launch.process.cgroups.session_groups import delegated_group
 
 RATE = 0.001
 """Of the talkers, in Hz: they publish nothing while they are measured."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from play_launch.process.cgroups.group import GroupError
-from play_launch.process.cgroups.session import delegated_group
+from play_launch.process.cgroups.session_groups import delegated_group
 
 _HIGHEST_NICE: Final = 19
 

@@ -16,7 +16,7 @@ from play_launch.cli import options
 from play_launch.cli.connection import connected
 from play_launch.cli.output import is_terminal, printable, report, say, wants_colour
 from play_launch.control.protocol import OperationError
-from play_launch.launch_files.configuration.options import Containers
+from play_launch.launch_files.configuration.request import Containers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -137,7 +137,7 @@ def _evaluated(target: list[str], container_type: Containers) -> tuple[str, str]
         evaluated,
         report_losses,
     )
-    from play_launch.launch_files.configuration.options import Options  # noqa: PLC0415
+    from play_launch.launch_files.configuration.request import Options  # noqa: PLC0415
     from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
 
     name, description = evaluated(target, USUAL_TIMEOUT)

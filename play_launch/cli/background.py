@@ -98,7 +98,7 @@ class Background(Struct):
     async def _report(self) -> None:
         if self.options.manager is None:
             return
-        from play_launch.deploy.report import ServiceReport, seen_of  # noqa: PLC0415 - for services
+        from play_launch.deploy.sd_notify import ServiceReport, seen_of  # noqa: PLC0415 - for services
 
         look = partial(seen_of, self.publisher, self.stop, self.system, self.operable)
         report = ServiceReport(self.options.manager, self.stop, look)

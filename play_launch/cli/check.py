@@ -75,7 +75,7 @@ def check(  # noqa: PLR0917 - options, by name
         started = processes(loaded)
         explained = {"processes": started, "helpers": helpers(loaded)}
     if as_json:
-        from play_launch.recording.facts import OURSELVES, package_version  # noqa: PLC0415
+        from play_launch.recording.environment import OURSELVES, package_version  # noqa: PLC0415
 
         values: dict[str, Any] = {"valid": True, "problems": [], "config": _resolved(loaded)}
         values |= {"protocol": PROTOCOL, "version": package_version(OURSELVES), **explained}

@@ -121,7 +121,7 @@ def enter_environment_of(client: ControlClient) -> None:
     Root becomes the user of the session before that: profiles and middleware, which that user
     chooses, load libraries. Raises OperationError.
     """
-    from play_launch.process.machine import full_shared_memory  # noqa: PLC0415 - slow
+    from play_launch.process.preflight import full_shared_memory  # noqa: PLC0415 - slow
 
     if full := full_shared_memory():
         raise OperationError(Code.REFUSED, full)

@@ -262,7 +262,7 @@ def _facts(status: Mapping[str, Any]) -> list[str]:
 
 def _require_ros() -> None:
     from play_launch.container.ros import middleware_problem, ros_installation  # noqa: PLC0415
-    from play_launch.process.machine import full_shared_memory  # noqa: PLC0415
+    from play_launch.process.preflight import full_shared_memory  # noqa: PLC0415
 
     if full := full_shared_memory():
         fail(full)

@@ -101,7 +101,7 @@ def version(as_json: options.Json = False) -> None:
         component_container,
         ros_installation,
     )
-    from play_launch.recording.facts import host_facts, versions  # noqa: PLC0415
+    from play_launch.recording.environment import host_facts, versions  # noqa: PLC0415
 
     found = versions()
     own = found.pop("play-launch-py", "not installed as a package")

@@ -20,7 +20,7 @@ from play_launch.cli.target import (
     evaluated,
     say_arguments,
 )
-from play_launch.launch_files.configuration.options import Containers, Options
+from play_launch.launch_files.configuration.request import Containers, Options
 
 
 def dump(  # noqa: PLR0917 - options, by name

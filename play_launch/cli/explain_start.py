@@ -29,7 +29,7 @@ from play_launch.container.parameter_files import ParameterFileError, parameter_
 from play_launch.container.ros import component_container, ros_installation, topic_recorder
 from play_launch.process.guard import SpawnError, check_program
 from play_launch.process.kin import MEMBER_VARIABLE, mark_for
-from play_launch.recording.facts import REDACTED, is_secret
+from play_launch.recording.environment import REDACTED, is_secret
 from play_launch.recording.resolved_form import taken_secrets, without
 from play_launch.recording.topic_recorder.supervision import recorder_argv
 

@@ -20,7 +20,7 @@ from play_launch.recording.folder import beside
 
 if TYPE_CHECKING:
     from play_launch.postmortem.export.tables import TableWriter
-    from play_launch.postmortem.session import PastSession
+    from play_launch.postmortem.past_session import PastSession
 
 TRACE: Final = "perfetto"
 Format = Literal["perfetto", "csv", "parquet"]

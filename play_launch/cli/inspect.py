@@ -16,7 +16,7 @@ from play_launch.cli.explain import change
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import clock_times, fail, printable, redirect_to_devnull
 from play_launch.cli.show.display import encode
-from play_launch.cli.show.lines import DisplayLine, line_of
+from play_launch.cli.show.event_lines import DisplayLine, line_of
 from play_launch.config.values import parse_duration
 from play_launch.control.event_words import event_object, names_of
 from play_launch.postmortem import diagnostics
@@ -25,7 +25,7 @@ from play_launch.postmortem.diagnostics import Diagnostics, level_name
 from play_launch.postmortem.events import UnreadableEventError
 from play_launch.postmortem.parameters import TOPICS as PARAMETER_TOPICS
 from play_launch.postmortem.parameters import Parameters, RecordedParameter, shortened
-from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.past_session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.console_format import DEBUG, ERROR, INFO, WARN
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind

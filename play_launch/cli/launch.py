@@ -22,7 +22,7 @@ from play_launch.cli.target import (
     sizes,
 )
 from play_launch.deploy.notification import claim
-from play_launch.launch_files.configuration.options import Containers, Options
+from play_launch.launch_files.configuration.request import Containers, Options
 
 
 def launch(  # noqa: PLR0917 - options, by name

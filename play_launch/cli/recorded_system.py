@@ -12,7 +12,7 @@ from play_launch.cli.output import warn
 from play_launch.config.substitutions import ament_prefixes
 from play_launch.control.protocol import ROS_VARIABLES
 from play_launch.postmortem.recorded_config import RecordedConfig, recorded_config
-from play_launch.recording.facts import REDACTED, versions
+from play_launch.recording.environment import REDACTED, versions
 from play_launch.recording.resolved_form import resolved_form
 
 if TYPE_CHECKING:

@@ -198,7 +198,7 @@ def _require_time_zone() -> None:
 
 
 def _require_machine() -> None:
-    from play_launch.process.machine import (  # noqa: PLC0415
+    from play_launch.process.preflight import (  # noqa: PLC0415
         address_space_problem,
         full_shared_memory,
         proc_problem,

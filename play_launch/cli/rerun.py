@@ -16,12 +16,12 @@ from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import counted, printable, say, warn
-from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import STATE_EVENT
-from play_launch.postmortem.session import PastSession
+from play_launch.container.cdr.structure import CdrError
+from play_launch.postmortem.past_session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.decisions import UnreadableInputError, read
-from play_launch.recording.facts import REDACTED
+from play_launch.recording.environment import REDACTED
 from play_launch.recording.forms import convert
 from play_launch.supervisor.difference import events_since
 from play_launch.supervisor.events import SubjectKind

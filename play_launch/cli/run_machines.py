@@ -161,7 +161,7 @@ async def _until_the_end(
     coordinator.on_change = note_recordings
     reports: contextlib.AbstractAsyncContextManager[None] = contextlib.nullcontext()
     if manager is not None:
-        from play_launch.deploy.report import ServiceReport  # noqa: PLC0415 - for services only
+        from play_launch.deploy.sd_notify import ServiceReport  # noqa: PLC0415 - for services only
 
         report = ServiceReport(manager, stop, coordinator.seen)
 

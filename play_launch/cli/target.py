@@ -20,7 +20,7 @@ from play_launch.cli.output import (
     write_file,
 )
 from play_launch.config.substitutions import parse_arguments
-from play_launch.launch_files.configuration.options import Containers
+from play_launch.launch_files.configuration.request import Containers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

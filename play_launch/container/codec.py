@@ -33,7 +33,7 @@ from play_launch.container.messages import (
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 
 if TYPE_CHECKING:
-    from play_launch.container.cdr.layout import Layout
+    from play_launch.container.cdr.structure import Layout
 
 
 MAX_FRAME_LENGTH = 16 * 1024 * 1024

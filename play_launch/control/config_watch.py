@@ -14,7 +14,7 @@ from play_launch.config.load import load_config
 from play_launch.config.problems import ConfigError
 from play_launch.config.source import Refused, read_bytes
 from play_launch.config.substitutions import Inputs
-from play_launch.process.session import in_a_thread
+from play_launch.process.descendants import in_a_thread
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterable, Mapping

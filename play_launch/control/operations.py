@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from msgspec import Struct
 from msgspec.structs import replace
 
-from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import NODE_PARAMETERS
+from play_launch.container.cdr.structure import CdrError
 from play_launch.control.actions import ActionLog, Actions
 from play_launch.control.coordinated import Coordinated, Lease, MeetRequest
 from play_launch.control.feed import KINDS, ClientQueue, Selection, line_of, message_of

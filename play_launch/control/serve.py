@@ -19,15 +19,15 @@ from play_launch.config.load import load_config, parse_config
 from play_launch.config.machines import part_of
 from play_launch.config.problems import ConfigError
 from play_launch.config.substitutions import Inputs, parse_arguments, share_folder
-from play_launch.container.cdr.layout import text_bytes
+from play_launch.container.cdr.structure import text_bytes
 from play_launch.control.actions import ActionLog
 from play_launch.control.client import own_command
 from play_launch.control.messages import Caller, SessionHello
 from play_launch.control.operations import Operations
 from play_launch.control.protocol import Code, OperationError
 from play_launch.control.server import serving
-from play_launch.process.session import in_a_thread
-from play_launch.recording.facts import OURSELVES, package_version
+from play_launch.process.descendants import in_a_thread
+from play_launch.recording.environment import OURSELVES, package_version
 from play_launch.recording.resolved_form import resolved_form
 from play_launch.runtime.applying import STEP_LIMIT
 from play_launch.supervisor.plan import Plan, Result

@@ -11,7 +11,7 @@ from msgspec.structs import astuple
 from play_launch.config.dependency import DependencyGraph
 from play_launch.config.resources import nice_limit
 from play_launch.process.stop import StopPolicy
-from play_launch.recording.facts import is_secret
+from play_launch.recording.environment import is_secret
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

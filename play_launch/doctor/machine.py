@@ -20,8 +20,9 @@ from play_launch.config.resources import nice_limit
 from play_launch.config.values import LARGEST_DOMAIN
 from play_launch.doctor.check_result import CheckResult, fail, ok, size_text, warn
 from play_launch.process.cgroups.group import GroupError
-from play_launch.process.cgroups.session import delegated_group
-from play_launch.process.machine import (
+from play_launch.process.cgroups.session_groups import delegated_group
+from play_launch.process.open_files import ENOUGH as RAISED_FILES
+from play_launch.process.preflight import (
     ADDRESS_SPACE_FIX,
     SHARED_MEMORY_FIX,
     address_space_problem,
@@ -29,7 +30,6 @@ from play_launch.process.machine import (
     proc_problem,
     shared_memory_room,
 )
-from play_launch.process.open_files import ENOUGH as RAISED_FILES
 from play_launch.recording.session import default_log_folder
 from play_launch.ros.fastdds.middleware import is_fastdds
 from play_launch.ros.fastdds.shared_memory import SHARED_MEMORY, count_files

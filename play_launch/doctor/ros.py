@@ -35,13 +35,13 @@ from play_launch.container.ros import (
     spawn_guard,
 )
 from play_launch.doctor.check_result import CheckResult, fail, ok, warn
-from play_launch.process.machine import (
+from play_launch.process.preflight import (
     ADDRESS_SPACE_FIX,
     SHARED_MEMORY_FIX,
     address_space_problem,
     full_shared_memory,
 )
-from play_launch.recording.facts import versions
+from play_launch.recording.environment import versions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -29,7 +29,7 @@ from play_launch.graph_daemon.graph_client import (
     RemoteError,
 )
 from play_launch.graph_daemon.start_stop import start_daemon
-from play_launch.process.session import in_a_thread
+from play_launch.process.descendants import in_a_thread
 from play_launch.supervisor.events import GraphChanged
 
 if TYPE_CHECKING:

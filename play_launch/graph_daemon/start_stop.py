@@ -15,7 +15,7 @@ from typing import IO, TYPE_CHECKING, Final
 from play_launch import UserError
 from play_launch.graph_daemon.contract import IDLE_TIMEOUT, WARM
 from play_launch.graph_daemon.port import acquire
-from play_launch.process.machine import (
+from play_launch.process.preflight import (
     full_shared_memory,
 )
 from play_launch.ros.fastdds.middleware import PROFILE_FILES

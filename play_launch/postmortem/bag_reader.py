@@ -23,7 +23,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from msgspec import Struct
 
 from play_launch import UserError
-from play_launch.postmortem.records import (
+from play_launch.postmortem.mcap_records import (
     LATEST,
     MESSAGE,
     MESSAGE_KIND,

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct, field
 
-from play_launch.container.cdr.layout import CdrError, Layout
+from play_launch.container.cdr.structure import CdrError, Layout
 from play_launch.postmortem.events import UnreadableEventError
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray
 
     from play_launch.postmortem.bag_reader import Message
-    from play_launch.postmortem.session import PastSession
+    from play_launch.postmortem.past_session import PastSession
 
 TOPIC: Final = "/diagnostics"
 TYPE: Final = "diagnostic_msgs/msg/DiagnosticArray"

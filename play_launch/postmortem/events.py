@@ -6,7 +6,6 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.config.node_key import NodeKey
-from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import (
     ACTION_EVENT,
     COMPONENT_EVENT,
@@ -17,13 +16,14 @@ from play_launch.container.cdr.messages import (
     STATE_EVENT,
     SYSTEM_STATS,
 )
+from play_launch.container.cdr.structure import CdrError
 from play_launch.recording import forms, topics
 from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent, Stream, SubjectKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.container.cdr.layout import Layout
+    from play_launch.container.cdr.structure import Layout
     from play_launch.postmortem.bag_reader import Message
 
 _CUT: Final = " [cut]"

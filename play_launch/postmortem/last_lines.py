@@ -12,9 +12,16 @@ from itertools import count
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import read_log
-from play_launch.postmortem.records import LATEST, MESSAGE, MESSAGE_KIND, NUMBER_AT, RECORD, Taken
+from play_launch.container.cdr.structure import CdrError
+from play_launch.postmortem.mcap_records import (
+    LATEST,
+    MESSAGE,
+    MESSAGE_KIND,
+    NUMBER_AT,
+    RECORD,
+    Taken,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from msgspec import Struct, field
 
 from play_launch.config.model import ParameterType
-from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import NODE_PARAMETERS, PARAMETER_EVENT
+from play_launch.container.cdr.structure import CdrError
 from play_launch.postmortem.events import UnreadableEventError
 from play_launch.recording import topics
 

@@ -16,14 +16,14 @@ from msgspec import Struct, field
 from play_launch.config.node_key import NodeKey
 from play_launch.config.text import duration
 from play_launch.container.cdr.messages import read_machine
-from play_launch.postmortem.records import LATEST, EqualReader, Taken
+from play_launch.postmortem.mcap_records import LATEST, EqualReader, Taken
 from play_launch.supervisor.events import MemoryKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from play_launch.postmortem.bag_reader import ChannelInfo, Message
-    from play_launch.postmortem.records import ChannelSequence, EqualMessages
+    from play_launch.postmortem.mcap_records import ChannelSequence, EqualMessages
 
 _SECOND: Final = 1_000_000_000
 _RECORD: Final = Fixed("<15xQ8x 12x i 12x ddQ B3x II 28x Q")

@@ -15,11 +15,11 @@ from play_launch.postmortem.diagnostics import TYPE as DIAGNOSTICS_TYPE
 from play_launch.postmortem.diagnostics import Diagnostics
 from play_launch.postmortem.events import UnreadableEventError
 from play_launch.postmortem.last_lines import LastLines
+from play_launch.postmortem.mcap_records import Runs
 from play_launch.postmortem.parameters import TOPICS as PARAMETER_TOPICS
 from play_launch.postmortem.parameters import Parameters
-from play_launch.postmortem.records import Runs
+from play_launch.postmortem.past_session import PastSession
 from play_launch.postmortem.samples import Samples
-from play_launch.postmortem.session import PastSession
 from play_launch.postmortem.units import (
     MOST_TIMES,
     NO_UNIT,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from msgspec import Struct, field
 
-from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import GROUP_STATS
+from play_launch.container.cdr.structure import CdrError
 from play_launch.postmortem.parameters import ParametersOfALife  # noqa: TC001 - a field of a Struct
 from play_launch.postmortem.samples import Trend  # noqa: TC001 - as above
 from play_launch.postmortem.source_lines import Module, module_of

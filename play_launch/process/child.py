@@ -15,19 +15,19 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from play_launch.process.cgroups.group import why_failed, why_killed
-from play_launch.process.exit import Exit
-from play_launch.process.guard import SpawnError, check_program
-from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat, tracer_of
-from play_launch.process.kin import MEMBER_VARIABLE, Kin
-from play_launch.process.lines import LineReader, OutputCallback
-from play_launch.process.machine import explained
-from play_launch.process.session import (
+from play_launch.process.descendants import (
     group_members,
     in_a_thread,
     session_members,
     signal_each,
     wait_all_ended,
 )
+from play_launch.process.exit import Exit
+from play_launch.process.guard import SpawnError, check_program
+from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat, tracer_of
+from play_launch.process.kin import MEMBER_VARIABLE, Kin
+from play_launch.process.lines import LineReader, OutputCallback
+from play_launch.process.preflight import explained
 from play_launch.process.stop import stop
 from play_launch.supervisor.events import Stream
 

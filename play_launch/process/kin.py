@@ -17,8 +17,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from play_launch.process.descendants import in_a_thread
 from play_launch.process.identity import parse_stat
-from play_launch.process.session import in_a_thread
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence

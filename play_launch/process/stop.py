@@ -13,7 +13,7 @@ import anyio
 from msgspec import Struct
 
 from play_launch.config.model import StopLimits
-from play_launch.process.session import signal_each, wait_all_ended
+from play_launch.process.descendants import signal_each, wait_all_ended
 
 if TYPE_CHECKING:
     import asyncio

@@ -14,7 +14,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.config.model import RotateConfig
-from play_launch.container.cdr.layout import Layout
+from play_launch.container.cdr.structure import Layout
 from play_launch.recording.errors import WriteFailedError, reason
 from play_launch.recording.folder import IndexedFile, IndexedTopic, part_path, write_index
 from play_launch.recording.mcap_file import McapFile

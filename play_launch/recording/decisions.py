@@ -14,8 +14,8 @@ import msgspec
 from msgspec.structs import replace
 
 from play_launch.config.model import ParameterType, ReplayConfig
-from play_launch.container.cdr.layout import text_bytes
 from play_launch.container.cdr.messages import PARAMETER_VALUE
+from play_launch.container.cdr.structure import text_bytes
 from play_launch.recording.resolved_form import without
 from play_launch.supervisor.events import (
     ContainerStateChanged,

@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from enum import Enum
 
-    from play_launch.container.cdr.layout import Layout
+    from play_launch.container.cdr.structure import Layout
 
 _Event = TypeVar("_Event")
 

@@ -31,7 +31,7 @@ from mcap.records import (
 )
 from zstandard import ZstdCompressor
 
-from play_launch.container.cdr.layout import text_bytes
+from play_launch.container.cdr.structure import text_bytes
 from play_launch.recording.chunk import ENTRY, INDEX, MESSAGE
 from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.folder import ACTIVE_SUFFIX, MAGIC

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from play_launch.config.description import describe
 from play_launch.config.tree import resolve_scalar
-from play_launch.recording.facts import REDACTED, is_secret
+from play_launch.recording.environment import REDACTED, is_secret
 from play_launch.supervisor.events import ActionEvent, ProcessEvent
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.config.model import RecordConfig
-from play_launch.container.cdr.layout import text_bytes
-from play_launch.recording import facts
+from play_launch.container.cdr.structure import text_bytes
+from play_launch.recording import environment
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.clock import SessionClock
 from play_launch.recording.errors import RecordingError, reason
@@ -140,11 +140,11 @@ def write_head(
         text_bytes(description.resolved_config),
         time=now,
     )
-    environment = facts.redacted_environment(description.environ)
-    writer.attach("environment.json", "application/json", _json(environment), time=now)
-    host = facts.host_facts()
+    environ = environment.redacted_environment(description.environ)
+    writer.attach("environment.json", "application/json", _json(environ), time=now)
+    host = environment.host_facts()
     writer.attach("host.json", "application/json", _json(host), time=now)
-    versions = facts.versions()
+    versions = environment.versions()
     writer.metadata(
         METADATA_NAME,
         {

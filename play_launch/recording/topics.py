@@ -21,7 +21,7 @@ from typing import Final
 from msgspec import Struct
 
 from play_launch.config.substitutions import ament_prefixes
-from play_launch.container.cdr.layout import DEFINITIONS
+from play_launch.container.cdr.structure import DEFINITIONS
 from play_launch.recording.errors import SchemaNotFoundError
 from play_launch.supervisor.events import SubjectKind
 

@@ -26,7 +26,7 @@ from play_launch.runtime.launcher import StartError
 from play_launch.runtime.probes import probe_nodes
 from play_launch.runtime.process_actor import ProcessActor
 from play_launch.runtime.shared_process import SharedMember
-from play_launch.runtime.watch import ContainerWatch
+from play_launch.runtime.watchdog import ContainerWatch
 from play_launch.supervisor.events import ComponentEvent, NodeState
 from play_launch.supervisor.inputs import Faulty, Greeted, HealthReported, NodeReported
 from play_launch.supervisor.outcome import Cause

@@ -21,7 +21,7 @@ from play_launch.container.messages import (
 )
 from play_launch.process.exit import Exit
 from play_launch.process.identity import ProcessIdentity
-from play_launch.process.machine import explained
+from play_launch.process.preflight import explained
 from play_launch.process.processor_wait import thread_wait
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 from play_launch.supervisor.frames import blamed_line

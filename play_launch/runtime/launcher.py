@@ -16,7 +16,7 @@ from msgspec.structs import asdict, replace
 
 from play_launch.config.model import ContainerConfig, ContainerType
 from play_launch.config.substitutions import ament_prefixes
-from play_launch.container.cdr.layout import definitions
+from play_launch.container.cdr.structure import definitions
 from play_launch.container.channel import CONTROL_FD_VARIABLE, ControlChannel
 from play_launch.container.command import (
     ExecutableNotFoundError,
@@ -39,19 +39,19 @@ from play_launch.container.ros import (
     spawn_guard,
 )
 from play_launch.process.cgroups.group import Group, GroupError
-from play_launch.process.cgroups.session import SessionGroups
+from play_launch.process.cgroups.session_groups import SessionGroups
 from play_launch.process.cgroups.usage import usage_of
 from play_launch.process.child import INHERITED, spawn
+from play_launch.process.descendants import Shared, in_a_thread
 from play_launch.process.guard import SessionGuard, SpawnError
 from play_launch.process.identity import read_stat
 from play_launch.process.kin import mark_for
-from play_launch.process.machine import (
+from play_launch.process.preflight import (
     full_shared_memory,
     shared_memory_problem,
 )
-from play_launch.process.session import Shared, in_a_thread
 from play_launch.process.stop import StopPolicy
-from play_launch.recording.facts import OURSELVES, package_version
+from play_launch.recording.environment import OURSELVES, package_version
 from play_launch.ros.fastdds.middleware import asks_for_fastdds
 from play_launch.ros.fastdds.shared_memory import sweep_command, sweep_shared_memory
 from play_launch.runtime.shared_process import (

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import anyio
 
 from play_launch.config.dependency import ABOUT_GRAPH, Condition
-from play_launch.process.session import in_a_thread
+from play_launch.process.descendants import in_a_thread
 from play_launch.supervisor.events import ExpectationChanged, ManagedState, OutputLine
 from play_launch.supervisor.inputs import Found, GoalReported, ManagedInput
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 import anyio
 
+from play_launch.process.descendants import first_of
 from play_launch.process.exit import Exit
-from play_launch.process.session import first_of
 from play_launch.process.stop import shorten
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ import anyio
 from play_launch.config.model import ContainerType
 from play_launch.container.messages import Hello
 from play_launch.container.ros import NotInstalledError
+from play_launch.process.descendants import first_of
 from play_launch.process.exit import Exit
-from play_launch.process.session import first_of
 from play_launch.ros.composition import CompositionClient
 from play_launch.ros.thread import RosThread, node_pool
 from play_launch.runtime.stock_link import StockLink

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.browser import find_browser
 from play_launch.deploy.machines.namespaces import missing
-from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.past_session import PastSession
 from play_launch.postmortem.timeline import read_timeline
 from play_launch.supervisor.outcome import Cause
 

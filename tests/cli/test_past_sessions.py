@@ -28,7 +28,7 @@ from play_launch.supervisor.events import (
 )
 from tests.postmortem.archive.scenes import begin_session, past_session
 from tests.postmortem.scenes import Scene
-from tests.postmortem.test_session import record
+from tests.postmortem.test_past_session import record
 from tests.support.replay import replaying, run
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from play_launch.config.model import (
 from play_launch.config.problems import ConfigError
 from play_launch.config.resolve.parameter_files import matches
 from play_launch.container.parameter_files import parameter_file_of
-from play_launch.launch_files.configuration.options import Options
+from play_launch.launch_files.configuration.request import Options
 from play_launch.launch_files.configuration.write import written
 from play_launch.launch_files.parameters import take_sections
 from play_launch.launch_files.records import (

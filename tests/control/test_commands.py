@@ -21,7 +21,7 @@ import pytest
 from play_launch.control.protocol import REQUEST_LIMIT, encode
 from play_launch.control.registration import LINKS, address_of
 from play_launch.control.sessions import connect, connect_to
-from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.past_session import PastSession
 from play_launch.recording import topics
 from tests.support.mounts import disk_of
 from tests.support.replay import COMMAND, Replay, alive, replaying, run

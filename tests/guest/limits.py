@@ -12,7 +12,7 @@ from pathlib import Path
 
 from play_launch.config.resources import GroupLimits, GroupPolicy
 from play_launch.process.cgroups.group import SUPERVISOR, Group, GroupError
-from play_launch.process.cgroups.session import SessionGroups
+from play_launch.process.cgroups.session_groups import SessionGroups
 
 TOP = Path("/sys/fs/cgroup")
 BASE = TOP / "robot" / "inner"

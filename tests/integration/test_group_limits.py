@@ -16,9 +16,9 @@ import pytest
 
 from benchmarks.figures import Figures
 from play_launch.cli.run import GroupTotals
-from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.past_session import PastSession
 from play_launch.process.cgroups.group import Group
-from play_launch.process.cgroups.session import own_hierarchy
+from play_launch.process.cgroups.session_groups import own_hierarchy
 from play_launch.process.cgroups.usage import group_of
 from play_launch.supervisor.events import GroupSample
 from tests.support.control_groups import control_group

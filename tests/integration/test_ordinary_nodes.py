@@ -16,7 +16,7 @@ import psutil
 import pytest
 
 from play_launch.launch_files.configuration import write as made_from
-from play_launch.launch_files.configuration.options import Options
+from play_launch.launch_files.configuration.request import Options
 from tests.launch_files.recorded import FOLDER, description
 from tests.support.replay import Replay, alive, recorded, replaying, run
 from tests.support.scenes import container, node, written

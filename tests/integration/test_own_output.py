@@ -125,7 +125,7 @@ def test_a_library_that_writes_without_end_does_not_stop_the_supervisor(tmp_path
         ("play_launch.config", ["check", "CONFIG", "--json"]),
         ("play_launch.doctor.ros", ["doctor", "--json"]),
         ("play_launch.graph_daemon.port", ["daemon", "status", "--json"]),
-        ("play_launch.recording.facts", ["version", "--json"]),
+        ("play_launch.recording.environment", ["version", "--json"]),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )

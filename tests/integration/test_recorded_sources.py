@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 
 from play_launch.postmortem import upkeep
 from play_launch.postmortem.bag_reader import BagReader
-from play_launch.recording.facts import REDACTED
+from play_launch.recording.environment import REDACTED
 from play_launch.recording.topics import PARAMETER_EVENTS, PARAMETERS
 from tests.postmortem.archive.scenes import begin_session, cut_off_session, name_of, past_session
 from tests.support.replay import Replay, replaying, run

@@ -16,7 +16,7 @@ from typing import Final
 import msgspec
 import pytest
 
-from play_launch.launch_files.configuration.options import Options
+from play_launch.launch_files.configuration.request import Options
 from play_launch.launch_files.configuration.write import written
 from play_launch.launch_files.records import Description
 from play_launch.launch_files.ros_launch.evaluate import evaluate

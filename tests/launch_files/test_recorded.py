@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from play_launch.config.load import load_config
-from play_launch.launch_files.configuration.options import Options
+from play_launch.launch_files.configuration.request import Options
 from play_launch.launch_files.configuration.write import written
 from tests.launch_files import recorded
 from tests.launch_files.writing import load

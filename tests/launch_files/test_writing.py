@@ -18,7 +18,7 @@ from play_launch.config.model import (
     ParameterType,
     ParameterValue,
 )
-from play_launch.launch_files.configuration.options import Containers, Options
+from play_launch.launch_files.configuration.request import Containers, Options
 from play_launch.launch_files.configuration.write import Written, written
 from play_launch.launch_files.records import (
     Composable,

@@ -9,7 +9,7 @@ from typing import Any
 from play_launch.config.load import load_config
 from play_launch.config.model import ReplayConfig
 from play_launch.container.parameter_files import parameter_file_text
-from play_launch.launch_files.configuration.options import Options
+from play_launch.launch_files.configuration.request import Options
 from play_launch.launch_files.configuration.write import Written, written
 from play_launch.launch_files.parameters import take_sections
 from play_launch.launch_files.records import (

@@ -15,7 +15,7 @@ from play_launch.container.cdr.messages import NODE_PARAMETERS, PARAMETER_EVENT
 from play_launch.postmortem.bag_reader import ChannelInfo, RecordedTopic
 from play_launch.postmortem.diagnostics import DIAGNOSTIC_ARRAY
 from play_launch.postmortem.findings import Finding, findings
-from play_launch.postmortem.records import MESSAGE
+from play_launch.postmortem.mcap_records import MESSAGE
 from play_launch.postmortem.timeline import Timeline, read_timeline
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter

@@ -12,11 +12,11 @@ from play_launch.postmortem import detect
 from play_launch.postmortem.connections import Connections
 from play_launch.postmortem.detect import (
     bring_up,
+    connections,
     diagnostics,
     failures,
     recording,
     resources,
-    topics,
 )
 from play_launch.postmortem.samples import _is_busy
 from play_launch.postmortem.timeline import Timeline
@@ -80,7 +80,7 @@ BREAKS: Final = {
         test_timeline.test_who_grows_without_failing,
     ),
     "disconnected": Break(
-        topics._disconnected,
+        connections._disconnected,
         "is_near and",
         "",
         lambda path: test_detect.test_what_a_failure_left_without_a_publisher(
@@ -94,13 +94,13 @@ BREAKS: Final = {
         test_detect.test_what_the_graph_knows_of_policies_that_do_not_match,
     ),
     "incompatible_type": Break(
-        topics._mismatched,
+        connections._mismatched,
         'each.policy == "type"',
         'each.policy != "type"',
         test_detect.test_topics_whose_types_differ,
     ),
     "misnamed_topic": Break(
-        topics._unpublished,
+        connections._unpublished,
         "unused=True",
         "unused=False",
         test_detect.test_subscriptions_that_nothing_publishes_for,
@@ -118,7 +118,7 @@ BREAKS: Final = {
         test_detect.test_a_topic_that_only_a_similar_one_is_published_for,
     ),
     "incompatible_qos": Break(
-        topics._reported,
+        connections._reported,
         'by_side[report["other"]]',
         'by_side["publisher"]',
         test_detect.test_publishers_and_subscriptions_that_do_not_match,
@@ -204,7 +204,7 @@ BREAKS: Final = {
         test_detect.test_machines_that_were_lost,
     ),
     "not_as_expected": Break(
-        topics._unexpected,
+        connections._unexpected,
         "changes[1:]",
         "changes[:-1]",
         test_detect.test_topics_that_were_not_as_expected,

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from play_launch.config.model import RotateConfig
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
-from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.past_session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
 from play_launch.recording.topics import METADATA_NAME
 from play_launch.supervisor.events import ContainerStateChanged, RunEvent
-from tests.postmortem.test_session import OTHERS
+from tests.postmortem.test_past_session import OTHERS
 from tests.recording.test_parts import three_parts
 from tests.recording.test_states import EVENTS
 

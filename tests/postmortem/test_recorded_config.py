@@ -15,7 +15,7 @@ from play_launch.config.load import load_config
 from play_launch.config.problems import ConfigError
 from play_launch.postmortem.recorded_config import RecordedConfig, recorded_config
 from play_launch.recording.bag import BagWriter
-from play_launch.recording.facts import versions
+from play_launch.recording.environment import versions
 from play_launch.recording.session import SessionDescription, write_head
 
 if TYPE_CHECKING:

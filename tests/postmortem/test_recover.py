@@ -14,7 +14,7 @@ from play_launch.postmortem.recover import RecoverError, default_output, recover
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
 from play_launch.supervisor.events import OutputLine, RunEvent, Stream
-from tests.postmortem.test_session import record
+from tests.postmortem.test_past_session import record
 from tests.recording.reading import messages, raw_messages
 from tests.support.replay import alive, replaying
 from tests.support.waiting import until

@@ -12,7 +12,7 @@ import pytest
 from play_launch.container.cdr.messages import PROCESS_STATS, SYSTEM_STATS
 from play_launch.postmortem.bag_reader import Message, RecordedTopic
 from play_launch.postmortem.detect.resources import _leaks
-from play_launch.postmortem.records import ChannelSequence, EqualMessages
+from play_launch.postmortem.mcap_records import ChannelSequence, EqualMessages
 from play_launch.postmortem.samples import MOST_SAMPLES, Samples
 from tests.postmortem.scenes import channel_of, message_record
 

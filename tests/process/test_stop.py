@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.process.child import Child, spawn
+from play_launch.process.descendants import wait_all_ended
 from play_launch.process.exit import Exit
 from play_launch.process.identity import read_stat
-from play_launch.process.session import wait_all_ended
 from play_launch.process.stop import (
     StopLevel,
     StopPolicy,

@@ -15,8 +15,8 @@ from rclpy.serialization import deserialize_message
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from play_launch.config.node_key import NodeKey
-from play_launch.container.cdr.layout import Layout
 from play_launch.container.cdr.messages import STATE_EVENT
+from play_launch.container.cdr.structure import Layout
 from play_launch.postmortem.bag_reader import Message, RecordedTopic
 from play_launch.postmortem.events import event_of
 from play_launch.recording import topics

@@ -8,7 +8,7 @@ import pytest
 from blockbuster import blockbuster_ctx
 
 from play_launch.process.processor_wait import ProcessorWait
-from play_launch.runtime import watch
+from play_launch.runtime import watchdog
 
 from . import jumping_loop
 
@@ -50,4 +50,4 @@ def _loop_is_never_blocked() -> Iterator[None]:
 def _processors_abound(monkeypatch: pytest.MonkeyPatch) -> None:
     """Time jumps here: what the kernel counts meanwhile means nothing."""
     none = ProcessorWait(0.0, wants_one=False)
-    monkeypatch.setattr(watch, "waits", lambda pid: (none, none))
+    monkeypatch.setattr(watchdog, "waits", lambda pid: (none, none))

@@ -12,9 +12,9 @@ from play_launch.config.node_key import NodeKey
 from play_launch.container.messages import Hello, Query, Status
 from play_launch.control.event_words import words_of
 from play_launch.process.processor_wait import ProcessorWait
-from play_launch.runtime import watch
+from play_launch.runtime import watchdog
 from play_launch.runtime.system import System
-from play_launch.runtime.watch import INTERVAL, TIMEOUT, WANT
+from play_launch.runtime.watchdog import INTERVAL, TIMEOUT, WANT
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEvent, ProcessEventKind
 from play_launch.supervisor.inputs import HealthReported, Input
 from play_launch.supervisor.outcome import Cause
@@ -130,7 +130,7 @@ def test_where_processors_are_short_silence_means_nothing(
     async def main() -> None:
         async with running(system(container("c", "a")), launcher(Starved)) as sys:
             await sys.until_loaded(1)
-            monkeypatch.setattr(watch, "waits", waits)
+            monkeypatch.setattr(watchdog, "waits", waits)
             await asyncio.sleep(100)
             (only,) = sys.launcher.containers["/c"]
             assert isinstance(only, Starved)

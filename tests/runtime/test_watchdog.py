@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from play_launch.container.messages import Outgoing, Query, Status
 from play_launch.process.processor_wait import ProcessorWait
-from play_launch.runtime import watch
-from play_launch.runtime.watch import (
+from play_launch.runtime import watchdog
+from play_launch.runtime.watchdog import (
     INTERVAL,
     LAST_PART,
     LATENESS,
@@ -59,7 +59,7 @@ def waits(monkeypatch: pytest.MonkeyPatch) -> list[ProcessorWait]:
     """What the threads that answer have waited, from a list of one."""
     theirs = [ProcessorWait(0.0, wants_one=False)]
     ours = ProcessorWait(0.0, wants_one=False)
-    monkeypatch.setattr(watch, "waits", lambda pid: (ours, theirs[0]))
+    monkeypatch.setattr(watchdog, "waits", lambda pid: (ours, theirs[0]))
     return theirs
 
 

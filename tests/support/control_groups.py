@@ -11,7 +11,7 @@ from tempfile import mkdtemp
 import pytest
 
 from play_launch.process.cgroups.group import Group, GroupError
-from play_launch.process.cgroups.session import own_hierarchy
+from play_launch.process.cgroups.session_groups import own_hierarchy
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import time
 from typing import IO, TYPE_CHECKING, Final, Generic, NamedTuple, TypeVar
 
 from play_launch.cli.output import abandon_stdout, counted, duration, redirect_to_devnull
-from play_launch.cli.show.lines import DisplayLine, format_lines, line_of, missed_line
+from play_launch.cli.show.event_lines import DisplayLine, format_lines, line_of, missed_line
 from play_launch.config.text import listed
 from play_launch.control.event_words import because, event_object
 from play_launch.process.exit import Exit

@@ -24,7 +24,7 @@ from play_launch.supervisor.events import OutputLine, Stream
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from play_launch.cli.web.access import Rules, Tokens
+    from play_launch.cli.web.admission import Rules, Tokens
     from play_launch.config.model import WebConfig
     from play_launch.process.lines import Line
 
@@ -99,7 +99,7 @@ def web(  # noqa: PLR0917 - options, by name
     # The control socket is for its user only, and 127.0.0.1 for all users of the machine.
     demands = token_file is not None or allow_control or not address.is_loopback
     tokens, is_new = _tokens(token_file) if demands else (None, False)
-    from play_launch.cli.web.access import Rules  # noqa: PLC0415
+    from play_launch.cli.web.admission import Rules  # noqa: PLC0415
 
     rules = Rules(
         hosts=_own_names(allow_host or ()),
@@ -146,7 +146,7 @@ def _own_names(more: list[str] | tuple[str, ...]) -> frozenset[str]:
 
 def _tokens(file: Path | None) -> tuple[Tokens, bool]:
     """Return the tokens, and whether they are new."""
-    from play_launch.cli.web.access import Tokens  # noqa: PLC0415
+    from play_launch.cli.web.admission import Tokens  # noqa: PLC0415
 
     made = Tokens.made()
     if file is None:
@@ -163,7 +163,7 @@ def _tokens(file: Path | None) -> tuple[Tokens, bool]:
 
 
 def _kept(file: Path) -> Tokens:
-    from play_launch.cli.web.access import Tokens  # noqa: PLC0415
+    from play_launch.cli.web.admission import Tokens  # noqa: PLC0415
 
     try:
         mode = file.stat().st_mode & 0o777
@@ -255,7 +255,7 @@ async def _serve(
     from fastapi import FastAPI, Response  # noqa: PLC0415
     from nicegui import ui  # noqa: PLC0415
 
-    from play_launch.cli.web.access import Access  # noqa: PLC0415
+    from play_launch.cli.web.admission import Access  # noqa: PLC0415
     from play_launch.cli.web.commands import CommandError, Commands  # noqa: PLC0415
     from play_launch.cli.web.metrics import CONTENT_TYPE, exposition  # noqa: PLC0415
     from play_launch.cli.web.page import declare  # noqa: PLC0415

@@ -13,7 +13,7 @@ from play_launch.cli import diagnostics, expect
 from play_launch.cli.output import clock, duration, size
 from play_launch.cli.status import fields
 from play_launch.cli.top import model
-from play_launch.cli.web.access import RIGHT, Right
+from play_launch.cli.web.admission import RIGHT, Right
 from play_launch.cli.web.commands import CommandError
 from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, OperationError
 from play_launch.control.units import Health, health, health_counts, target_of

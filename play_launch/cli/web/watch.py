@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from play_launch.cli.top import model
-from play_launch.cli.top.link import POLL_INTERVAL, SessionLink
+from play_launch.cli.top.connection import POLL_INTERVAL, SessionLink
 from play_launch.cli.web.metrics import Scrape
 from play_launch.control.messages import UnitRow
 from play_launch.control.protocol import Code, OperationError

@@ -8,7 +8,7 @@ from __future__ import annotations
 from struct import Struct, error
 from typing import Any, Final, NamedTuple
 
-from play_launch.container.cdr.layout import CdrError, Layout, split_time, text_bytes
+from play_launch.container.cdr.structure import CdrError, Layout, split_time, text_bytes
 
 COMPONENT_EVENT: Final = Layout("ComponentEvent")
 STATE_EVENT: Final = Layout("StateEvent")

@@ -17,7 +17,7 @@ from play_launch.config.machines import PARTS, Service
 from play_launch.control.protocol import PROTOCOL
 from play_launch.deploy.machines.hosts import HostError
 from play_launch.deploy.unit import stop_seconds
-from play_launch.recording.facts import OURSELVES, package_version
+from play_launch.recording.environment import OURSELVES, package_version
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -29,9 +29,9 @@ from play_launch.deploy.machines.hosts import HostError, LinkLost
 from play_launch.deploy.machines.part import BEGUN, OVER, Part
 from play_launch.deploy.machines.reach import reach_problems, report_of
 from play_launch.deploy.machines.requests import Requests
-from play_launch.deploy.report import Seen
+from play_launch.deploy.sd_notify import Seen
 from play_launch.deploy.unit import stop_seconds
-from play_launch.process.session import first_of
+from play_launch.process.descendants import first_of
 from play_launch.supervisor.events import MachineState
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from play_launch.deploy.machines.hosts import (
     connect,
     connect_at_first,
 )
-from play_launch.process.session import first_of
+from play_launch.process.descendants import first_of
 from play_launch.supervisor.events import MachineChanged, MachineState
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.config.model import ParameterType
 from play_launch.config.values import check_topic
-from play_launch.launch_files.configuration.options import Containers
+from play_launch.launch_files.configuration.request import Containers
 from play_launch.launch_files.configuration.yaml_text import Commented
 from play_launch.launch_files.records import ProgramKind
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from play_launch.launch_files.configuration.files import Paths
-    from play_launch.launch_files.configuration.options import Options
     from play_launch.launch_files.configuration.references import Names
+    from play_launch.launch_files.configuration.request import Options
     from play_launch.launch_files.configuration.sources import ParameterSources
     from play_launch.launch_files.records import Composable, LaunchedProcess, Losses, Unit
 

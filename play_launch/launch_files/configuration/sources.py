@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from play_launch.config.model import ParameterValue
     from play_launch.launch_files.configuration.files import Copies, Paths
-    from play_launch.launch_files.configuration.options import Options
+    from play_launch.launch_files.configuration.request import Options
     from play_launch.launch_files.records import LaunchedProcess, Source, Unit
 
 Parameters = dict[str, "ParameterValue"]

@@ -12,7 +12,7 @@ from play_launch.config.problems import ConfigError, Problem
 from play_launch.config.source import Refused, read_bytes
 from play_launch.config.substitutions import Inputs
 from play_launch.launch_files.configuration.files import Copies
-from play_launch.launch_files.configuration.system import configuration_of
+from play_launch.launch_files.configuration.from_records import configuration_of
 from play_launch.launch_files.configuration.yaml_text import printable, yaml_text
 from play_launch.launch_files.records import (
     Loss,
@@ -22,7 +22,7 @@ from play_launch.launch_files.records import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.launch_files.configuration.options import Options
+    from play_launch.launch_files.configuration.request import Options
     from play_launch.launch_files.records import Description
 
 

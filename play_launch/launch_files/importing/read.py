@@ -10,7 +10,7 @@ from play_launch.config.compose import Reading, Tally, compose
 from play_launch.config.problems import Report
 from play_launch.config.source import Refused, decode, read_bytes
 from play_launch.config.tree import Mapping, Scalar
-from play_launch.launch_files.configuration.options import Containers, Options
+from play_launch.launch_files.configuration.request import Containers, Options
 from play_launch.launch_files.configuration.write import written
 from play_launch.launch_files.importing.launch_dump import is_launch_dump, read_launch_dump
 from play_launch.launch_files.importing.system_model import is_system_model, read_system_model

@@ -180,7 +180,7 @@ def _description(
     from launch.launch_description_sources import AnyLaunchDescriptionSource  # noqa: PLC0415
 
     from play_launch.launch_files.ros_launch import ends, faster, reading  # noqa: PLC0415
-    from play_launch.launch_files.ros_launch.events import EventSimulation  # noqa: PLC0415
+    from play_launch.launch_files.ros_launch.handlers import EventSimulation  # noqa: PLC0415
     from play_launch.launch_files.ros_launch.scene import Scene  # noqa: PLC0415
 
     _write_no_logs(launch.logging.launch_config)

@@ -27,7 +27,7 @@ from play_launch.launch_files.ros_launch.units import Composables, record_proces
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.launch_files.ros_launch.events import EventSimulation
+    from play_launch.launch_files.ros_launch.handlers import EventSimulation
     from play_launch.launch_files.ros_launch.scene import Scene
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
-    from play_launch.postmortem.session import PastSession
+    from play_launch.postmortem.past_session import PastSession
     from play_launch.supervisor.events import RunEvent
 
     Value = str | int | float

@@ -15,7 +15,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 from msgspec import Struct
 
 from play_launch.config.node_key import NodeKey
-from play_launch.postmortem.records import Runs
+from play_launch.postmortem.mcap_records import Runs
 from play_launch.recording.console_format import ERROR, WARN, line_level
 from play_launch.supervisor.events import (
     ContainerState,

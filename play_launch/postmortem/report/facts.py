@@ -12,7 +12,7 @@ from play_launch.postmortem.parameters import shortened
 from play_launch.postmortem.report.configuration import Configuration, configuration
 from play_launch.postmortem.report.gather import Arrival, Mark, PageRow  # noqa: TC001 - fields of a Struct
 from play_launch.postmortem.report.page import shown
-from play_launch.postmortem.report.usage import (
+from play_launch.postmortem.report.series import (
     PROCESS_COLUMNS,
     SYSTEM_COLUMNS,
     packed,
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
     from play_launch.postmortem.bag_reader import BagReader
     from play_launch.postmortem.parameters import KnownParameters, Parameters
+    from play_launch.postmortem.past_session import PastSession
     from play_launch.postmortem.report.gather import Gathered
-    from play_launch.postmortem.report.usage import Series
-    from play_launch.postmortem.session import PastSession
+    from play_launch.postmortem.report.series import Series
 
 _MOST_PARAMETERS: Final = 20_000
 """Parameters and changes of all nodes together; a page of 110 nodes has about 2,000."""

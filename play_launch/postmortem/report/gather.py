@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import SYSTEM_STATS, read_log
+from play_launch.container.cdr.structure import CdrError
 from play_launch.postmortem.critical_chain import critical_chain
-from play_launch.postmortem.records import LATEST, MESSAGE, RECORD, EqualReader, Runs, Taken
-from play_launch.postmortem.report.lines import Lines
+from play_launch.postmortem.mcap_records import LATEST, MESSAGE, RECORD, EqualReader, Runs, Taken
+from play_launch.postmortem.report.log_lines import Lines
 from play_launch.postmortem.report.page import shown
-from play_launch.postmortem.report.usage import Rates, Usage
+from play_launch.postmortem.report.series import Rates, Usage
 from play_launch.postmortem.units import NO_UNIT, Unit
 from play_launch.recording import topics
 from play_launch.recording.console_format import ERROR, INFO
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from play_launch.postmortem.bag_reader import ChannelInfo, Message, RecordedTopic, Take
-    from play_launch.postmortem.records import ChannelSequence
+    from play_launch.postmortem.mcap_records import ChannelSequence
     from play_launch.postmortem.timeline import Timeline
     from play_launch.postmortem.units import FailureEvent, State
     from play_launch.supervisor.events import RunEvent

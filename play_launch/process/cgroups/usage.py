@@ -11,7 +11,7 @@ from msgspec import Struct
 from msgspec.structs import asdict
 
 from play_launch.process.cgroups.group import CONTAINER, Group, GroupError, SessionName, path_of
-from play_launch.process.cgroups.session import own_hierarchy
+from play_launch.process.cgroups.session_groups import own_hierarchy
 from play_launch.supervisor.events import GroupSample
 
 if TYPE_CHECKING:

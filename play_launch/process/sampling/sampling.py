@@ -8,10 +8,10 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, Final, TypeVar
 
+from play_launch.process.descendants import in_a_thread
 from play_launch.process.sampling.groups import GroupSampler
 from play_launch.process.sampling.machine import MachineSampler
 from play_launch.process.sampling.processes import Sampler, targets
-from play_launch.process.session import in_a_thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable

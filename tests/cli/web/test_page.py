@@ -25,7 +25,7 @@ from play_launch.cli.web import commands
 from play_launch.cli.web.watch import Watch
 from tests.cli.top.rows import row
 from tests.cli.web.server import Server, serving
-from tests.cli.web.test_access import answers
+from tests.cli.web.test_admission import answers
 from tests.integration.test_own_diagnostics import MONITOR
 from tests.support.replay import Replay, replaying, run
 from tests.support.waiting import until

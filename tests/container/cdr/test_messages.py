@@ -16,8 +16,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from play_launch.container.cdr import messages
-from play_launch.container.cdr.layout import CdrError, Layout, text_bytes
 from play_launch.container.cdr.messages import LOG, PROCESS_STATS, log_message
+from play_launch.container.cdr.structure import CdrError, Layout, text_bytes
 
 DEFINITIONS = Path(__file__).resolve().parents[3] / "interfaces" / "play_launch_msgs"
 LAYOUTS = {

@@ -14,7 +14,7 @@ import pytest
 
 from tests.postmortem.export.test_layouts import STORY
 from tests.postmortem.export.trace_format import read_trace
-from tests.postmortem.test_session import record
+from tests.postmortem.test_past_session import record
 from tests.support.replay import COMMAND
 
 PAGE = (Path(__file__).parents[3] / "docs" / "viewing.md").read_text(encoding="utf-8")

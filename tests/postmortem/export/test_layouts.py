@@ -21,7 +21,7 @@ from play_launch.postmortem.export.layouts import (
 from play_launch.postmortem.timeline import read_timeline
 from play_launch.supervisor.events import MemoryKind, NodeState, RunEvent, SubjectKind, SystemSample
 from tests.postmortem.export.test_trace import KEY, node, sample
-from tests.postmortem.test_session import record
+from tests.postmortem.test_past_session import record
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -22,7 +22,7 @@ from play_launch.supervisor.events import (
     RunEvent,
     SystemSample,
 )
-from tests.postmortem.test_session import EVERYTHING, record
+from tests.postmortem.test_past_session import EVERYTHING, record
 from tests.recording.test_states import EVENTS, PROCESS_SAMPLES, SYSTEM_SAMPLES
 
 

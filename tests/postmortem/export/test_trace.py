@@ -29,7 +29,7 @@ from play_launch.supervisor.events import (
     SubjectKind,
 )
 from tests.postmortem.export.trace_format import read_trace
-from tests.postmortem.test_session import EVERYTHING, record
+from tests.postmortem.test_past_session import EVERYTHING, record
 
 KEY = NodeKey("/box", "/talker")
 

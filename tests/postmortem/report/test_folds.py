@@ -15,10 +15,9 @@ from msgspec.structs import replace
 from play_launch.config.node_key import NodeKey
 from play_launch.postmortem import timeline
 from play_launch.postmortem.report import gather as gathering
-from play_launch.postmortem.report import usage
 from play_launch.postmortem.report.gather import Gathered, Shown
-from play_launch.postmortem.report.lines import Lines
-from play_launch.postmortem.report.usage import PARTS, Rates, Usage
+from play_launch.postmortem.report.log_lines import Lines
+from play_launch.postmortem.report.series import PARTS, Rates, Series, Usage
 from play_launch.postmortem.timeline import Timeline
 from play_launch.postmortem.units import NO_UNIT
 from play_launch.supervisor.events import (
@@ -258,7 +257,7 @@ def test_lines_far_from_failures_go_first() -> None:
 def test_samples_of_days_keep_their_spikes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(usage, "MOST", 64)
+    monkeypatch.setattr("play_launch.postmortem.report.series.MOST", 64)
     found = Usage()
     for second in range(1000):
         spike = 98.0 if second == 777 else 5.0
@@ -292,8 +291,8 @@ def test_every_sample_is_drawn_however_units_follow_each_other(tmp_path: Path) -
 
 
 def test_what_is_not_known_does_not_disturb_thinning(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(usage, "MOST", 8)
-    series = usage.Series(columns=(array("d"), array("d")))
+    monkeypatch.setattr("play_launch.postmortem.report.series.MOST", 8)
+    series = Series(columns=(array("d"), array("d")))
     for second in range(30):
         series.add(second, (nan, nan if second % 2 else float(second)))
     series.finish()

@@ -10,7 +10,7 @@ from math import isfinite, isnan, nan
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.postmortem.report.usage import (
+from play_launch.postmortem.report.series import (
     MISSING,
     packed,
     quantised,

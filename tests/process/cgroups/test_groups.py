@@ -17,7 +17,7 @@ import pytest
 
 from play_launch.config.resources import NO_LIMITS, CpuMax, GroupLimits, GroupPolicy
 from play_launch.process.cgroups.group import CONTAINER, SUPERVISOR, Group, GroupError, SessionName
-from play_launch.process.cgroups.session import SessionGroups
+from play_launch.process.cgroups.session_groups import SessionGroups
 from play_launch.process.cgroups.usage import usage_of
 from play_launch.process.identity import ProcessIdentity, read_stat
 from play_launch.process.sampling import groups as room
@@ -234,7 +234,7 @@ ORDINARY_USER = """
 import logging, os, sys
 from pathlib import Path
 from play_launch.config.resources import GroupPolicy
-from play_launch.process.cgroups.session import SessionGroups
+from play_launch.process.cgroups.session_groups import SessionGroups
 
 logging.basicConfig(format="%(message)s")
 Path(sys.argv[1], "cgroup.procs").write_text("0")

@@ -16,7 +16,7 @@ from play_launch.process.cgroups.group import (
     why_failed,
     why_killed,
 )
-from play_launch.process.cgroups.session import hierarchy
+from play_launch.process.cgroups.session_groups import hierarchy
 
 numbers = st.integers(1, 2**40)
 sessions = st.builds(SessionName, numbers, numbers, numbers)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.past_session import PastSession
 from play_launch.process.sampling import machine, sampling
 from play_launch.process.sampling.sampling import next_due, sample
 from play_launch.supervisor.events import (

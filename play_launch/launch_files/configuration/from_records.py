@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from play_launch.launch_files.configuration.files import Copies
-    from play_launch.launch_files.configuration.options import Options
+    from play_launch.launch_files.configuration.request import Options
     from play_launch.launch_files.records import Description, Losses, Unit
 
 _USUAL: Final = 5.0

@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, PrivateFormat
 from cryptography.x509.oid import NameOID
 
-from play_launch.cli.web.access import Access, Rules
+from play_launch.cli.web.admission import Access, Rules
 from tests.cli.web.server import SOCKET, Server, serving
 from tests.support.loopback_network import wrapped
 from tests.support.replay import COMMAND, run

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.recording.facts import (
+from play_launch.recording.environment import (
     REDACTED,
     host_facts,
     package_version,

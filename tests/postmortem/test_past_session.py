@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from play_launch.container.cdr.layout import Layout
 from play_launch.container.cdr.messages import PROCESS_STATS, log_message
+from play_launch.container.cdr.structure import Layout
 from play_launch.postmortem.bag_reader import Message, RecordedTopic
 from play_launch.postmortem.events import event_of
-from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.past_session import PastSession
 from play_launch.postmortem.units import ending
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter

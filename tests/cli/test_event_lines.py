@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from play_launch.cli.show.lines import DisplayLine, format_lines, line_of
+from play_launch.cli.show.event_lines import DisplayLine, format_lines, line_of
 from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,

@@ -13,7 +13,7 @@ import pytest
 
 from play_launch.config.model import ReplayConfig
 from play_launch.deploy.notification import ServiceManager
-from play_launch.deploy.report import ServiceReport, seen_of, status_text, summary_of
+from play_launch.deploy.sd_notify import ServiceReport, seen_of, status_text, summary_of
 from play_launch.process.exit import Exit
 from play_launch.runtime.launcher import StartError
 from play_launch.runtime.system import System
