@@ -40,7 +40,13 @@ if TYPE_CHECKING:
     """Those of a `StateEvent`."""
 
 _DECIDED: Final = frozenset(
-    {SubjectKind.NODE, SubjectKind.CONTAINER, SubjectKind.PROCESS, SubjectKind.MANAGED}
+    {
+        SubjectKind.NODE,
+        SubjectKind.CONTAINER,
+        SubjectKind.PROCESS,
+        SubjectKind.MANAGED,
+        SubjectKind.WANT,
+    }
 )
 _OLD: Final = "it holds no inputs: an older version recorded it, or its beginning is missing"
 _MERGED: Final = "it holds the decisions of several machines; rerun the recording of one"

@@ -35,7 +35,7 @@ def rerun(path: Path, *options: str) -> tuple[int, dict[str, Any]]:
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The demo, with a crash, a restart and a change, in several files."""
+    """The demo, with a crash, a restart, a stop and a change, in several files."""
     folder = tmp_path_factory.mktemp("rerun")
     text = (ROOT / "configs" / "demo.yaml").read_text(encoding="utf-8")
     text = text.replace("duration: 10 s\n", "record: {rotate: {duration: 1 s}}\n")
@@ -60,6 +60,7 @@ nodes:
             replay.read_until_states({"/talker": "lost"})
             replay.read_until_states({"/talker": "loaded", "/listener": "loaded"})
             assert replay.ask("restart", "/monitor", code=0)
+            assert replay.ask("stop", "sleeper", code=0)
             assert replay.ask("apply", other, code=0)
     return replay.bag.resolve().parent
 
