@@ -163,8 +163,8 @@ BREAKS: Final = {
     ),
     "not_loaded": Break(
         bring_up._absence,
-        "if state in _MISSING",
-        "if state not in _MISSING",
+        "since_ns, container = unit.since_ns, timeline.of_name(unit.container)",
+        "return None",
         lambda path: test_timeline.test_a_node_that_was_never_loaded(path, NodeState.PENDING),
     ),
     "not_started": Break(

@@ -91,8 +91,8 @@ def test_a_node_that_was_lost_as_its_container_was_stopped(
     scene.process(3, ProcessEventKind.EXITED, signal=2, cause=Cause.STOPPED)
     scene.node(3, "/slam", NodeState.LOST, reason="its container: exited with signal 2 (SIGINT)")
     found = scene.story(tmp_path).findings
-    missing = [("not_loaded", "loading", (ns(0.5),))] * (state is NodeState.LOADING)
-    assert [(each.kind, each.state, each.times_ns) for each in found] == missing
+    missing = [("not_loaded", "loading", (ns(0.5),), "")] * (state is NodeState.LOADING)
+    assert [(each.kind, each.state, each.times_ns, each.cause) for each in found] == missing
 
 
 def test_a_process_that_ended_well_too_often(tmp_path: Path) -> None:
@@ -108,5 +108,7 @@ def test_a_process_that_ended_well_too_often(tmp_path: Path) -> None:
 def test_nodes_of_a_container_that_an_operator_stopped_are_not_missing(tmp_path: Path) -> None:
     scene = Scene()
     scene.node(0, "/slam", NodeState.PENDING)
+    (finding,) = scene.story(tmp_path).findings
+    assert (finding.kind, finding.cause) == ("not_loaded", "its container was never ready")
     scene.dismissed(1, "/box")
     assert scene.story(tmp_path).findings == ()

@@ -65,22 +65,24 @@ def _absence(timeline: Timeline, unit: Unit) -> Finding | None:
     if unit.left_ns and timeline.of_name(unit.container).failure is None:
         says = "was unloaded {when}, by another program or itself, and not loaded again"
         return Finding(kind="left", rank=2, says=says, times_ns=(unit.left_ns,), cause=reason)
-    since_ns = unit.since_ns
-    is_stopped = state is NodeState.LOST and timeline.of_name(unit.container).is_stopping
-    if is_stopped and len(unit.changes) > 1:  # what it was until then counts
-        since_ns, state, _ = unit.changes[-2]
-    if state in _MISSING:
-        what = "not loaded again" if state is NodeState.LOST else "never loaded"
-        return Finding(
-            kind="not_loaded",
-            rank=2,
-            says=f"was {what}: it was {state} since {{at}}",
-            times_ns=(since_ns,),
-            cause=reason,
-            state=str(state),
-            since_ns=since_ns,
-        )
-    return None
+    if state not in _MISSING:
+        return None
+    since_ns, container = unit.since_ns, timeline.of_name(unit.container)
+    if state is NodeState.LOST and container.is_stopping and len(unit.changes) > 1:
+        since_ns, state, _ = unit.changes[-2]  # what it was before the stop counts
+        reason = ""
+        if state not in _MISSING:
+            return None
+    what = "not loaded again" if state is NodeState.LOST else "never loaded"
+    return Finding(
+        kind="not_loaded",
+        rank=2,
+        says=f"was {what}: it was {state} since {{at}}",
+        times_ns=(since_ns,),
+        cause=reason or ("" if container.ready_ns else "its container was never ready"),
+        state=str(state),
+        since_ns=since_ns,
+    )
 
 
 def _late(timeline: Timeline) -> Iterator[Finding]:
