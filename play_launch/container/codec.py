@@ -174,13 +174,8 @@ def decode_message(frame: Frame, *, container: str = "") -> Incoming | None:
         match kind:
             case FrameKind.EVENT:
                 event = layouts.COMPONENT_EVENT.read(frame.payload)
-                return ComponentEvent(
-                    stamp_ns=event.pop("stamp"),
-                    kind=ComponentEventKind(event.pop("event_type")),
-                    container=container,
-                    received=frame.payload,
-                    **event,
-                )
+                event |= {"stamp_ns": event.pop("stamp"), "container": container}
+                return ComponentEvent(kind=ComponentEventKind(event.pop("event_type")), **event)
             case FrameKind.STATUS:
                 status = layouts.CONTROL_STATUS.read(frame.payload)
                 nodes = tuple(

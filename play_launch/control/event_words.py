@@ -12,7 +12,6 @@ from play_launch.config.node_key import NodeKey
 from play_launch.config.text import listed
 from play_launch.process.exit import Exit
 from play_launch.recording.console_format import DEBUG, ERROR, INFO, WARN, line_level
-from play_launch.recording.forms import fields_of
 from play_launch.supervisor.endpoints import Endpoint
 from play_launch.supervisor.events import (
     ActionEvent,
@@ -227,11 +226,7 @@ EVENT_TYPES: Final[dict[type[RunEvent], str]] = {
     SystemSample: "system_sample",
 }
 """What `event` says in the object of each."""
-_FIELDS: Final = {
-    # Of what was received, the other fields are made.
-    kind: tuple(name for name in fields_of(kind) if name != "received")
-    for kind in EVENT_TYPES
-}
+_FIELDS: Final = {kind: kind.__struct_fields__ for kind in EVENT_TYPES}
 
 
 def event_object(event: RunEvent) -> dict[str, object]:

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from play_launch.postmortem.bag_reader import Message
 
 _CUT: Final = " [cut]"
-_NO_MODULES: Final = bytes(7)
-"""The length of a sequence, and up to three bytes before it that align it."""
+_NO_MODULES: Final = bytes(11)
+"""The lengths of a sequence and of a text, and up to three bytes before them that align them."""
 _NO_OUTCOME: Final = bytes(32)
 """Cause, sequel, delay and culprit, with what aligns them."""
 
@@ -84,12 +84,8 @@ def _state(message: Message) -> RunEvent:
 
 
 def _component(message: Message) -> RunEvent:
-    return forms.COMPONENT.event(
-        # Earlier versions wrote no modules: this reads as an empty sequence.
-        _fields(COMPONENT_EVENT, message, _NO_MODULES),
-        container="",  # the message does not say: its container sent it
-        received=message.data,
-    )
+    # Earlier versions wrote no modules, and no container.
+    return forms.COMPONENT.event(_fields(COMPONENT_EVENT, message, _NO_MODULES))
 
 
 def _graph(message: Message) -> RunEvent:

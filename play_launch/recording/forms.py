@@ -5,6 +5,7 @@ from __future__ import annotations
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
 
+from msgspec import Struct
 from msgspec.structs import asdict
 
 from play_launch.config.node_key import NodeKey
@@ -61,13 +62,7 @@ if TYPE_CHECKING:
 
     from play_launch.container.cdr.structure import Layout
 
-_Event = TypeVar("_Event")
-
-
-def fields_of(event: type[object]) -> tuple[str, ...]:
-    """Name the fields of events of a class."""
-    found = getattr(event, "__struct_fields__", ()) or getattr(event, "__dataclass_fields__", ())
-    return tuple(found)
+_Event = TypeVar("_Event", bound=Struct)
 
 
 class Column(NamedTuple):
@@ -108,7 +103,7 @@ class Form(Generic[_Event]):
         self._topic = topic
         self._layout = layout
         columns = (Column("stamp_ns", "stamp"), *columns)
-        alike = set(fields_of(event)) & layout.types.keys()
+        alike = set(event.__struct_fields__) & layout.types.keys()
         alike -= {column.attribute for column in columns}
         self._columns = (*columns, *(Column(name, name) for name in sorted(alike)))
         # Those whose values stay as they are, at once: of samples there are hundreds of thousands.
@@ -378,12 +373,8 @@ def convert(event: RunEvent) -> tuple[TopicMessage, ...]:
             if event.level < WARN:
                 return (everything,)
             return (everything, TopicMessage(topics.LOG, data))
-        case ComponentEvent() if event.received:
-            # As its container sent it.
-            received = TopicMessage(topics.COMPONENT_EVENTS, event.received)
-            if is_guest(event.unique_id, event.attempt):
-                return received, _NODE.message(state_of_guest(event))
-            return (received,)
+        case ComponentEvent() if is_guest(event.unique_id, event.attempt):
+            return COMPONENT.message(event), _NODE.message(state_of_guest(event))
     return (_FORMS[type(event)].message(event),)
 
 

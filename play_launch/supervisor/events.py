@@ -10,7 +10,6 @@ Units: ``stamp_ns`` is wall-clock time in nanoseconds since the epoch; ``elapsed
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import TYPE_CHECKING
 
@@ -138,12 +137,13 @@ class Stream(StrEnum):
     STDERR = "stderr"
 
 
-# Not a Struct, which would compare all of its fields.
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ComponentEvent:
+class _Event(Struct, frozen=True, kw_only=True):
+    stamp_ns: int
+
+
+class ComponentEvent(_Event, frozen=True, kw_only=True):
     """One step of one load attempt, as the container reported it."""
 
-    stamp_ns: int
     kind: ComponentEventKind
     container: str
     unique_id: int
@@ -162,12 +162,6 @@ class ComponentEvent:
     confirmed_by: str = ""
     """Source of the event where its container did not send it: ``status`` (answer on the control
     channel), ``list_nodes`` (of that service), ``probe`` (scratch process), ``supervisor``."""
-    received: bytes = field(default=b"", compare=False, repr=False)
-    """The message in CDR as its container sent it, for the recording; else empty."""
-
-
-class _Event(Struct, frozen=True, kw_only=True):
-    stamp_ns: int
 
 
 class _WithOutcome(_Event, frozen=True, kw_only=True):

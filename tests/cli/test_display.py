@@ -140,7 +140,6 @@ def test_json_has_one_object_for_each_event() -> None:
         package_name="p",
         plugin_name="p::N",
         backtrace=("f",),
-        received=b"not for this",
     )
     events: list[RunEvent] = [
         component,

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -91,13 +90,6 @@ def test_warnings_stand_in_both_logs(level: int) -> None:
     message = found["/play_launch/log/all"]
     assert (message.level, message.name, message.msg) == (level, "n", "m")
     assert (message.file, message.function, message.line) == ("f.py", "g", 3)
-
-
-def test_what_a_container_sent_is_recorded_as_it_came() -> None:
-    event = replace(component(ComponentEventKind.LOADED), received=b"as it came")
-    ((topic, data, _),) = convert(event)
-    assert (topic.name, data) == ("/play_launch/events", b"as it came")
-    assert event == component(ComponentEventKind.LOADED)
 
 
 def component(kind: ComponentEventKind) -> ComponentEvent:
