@@ -116,16 +116,19 @@ def _modules() -> Iterator[Any]:
 def _place(
     finding: Finding, places: dict[str, DeclaredPlace], commands: dict[str, tuple[str, ...]]
 ) -> DeclaredPlace:
-    """Complete a place by what the configuration declares, and by the command that was run."""
+    """Complete a place by the command that was run, and by what the configuration declared.
+
+    An `apply` may have declared something else since.
+    """
     key, known = finding.key, finding.place
     declared = places.get(key, DeclaredPlace())
     return DeclaredPlace(
         frame=known.frame,
-        package=declared.package or known.package,
-        plugin=declared.plugin or known.plugin,
+        package=known.package or declared.package,
+        plugin=known.plugin or declared.plugin,
         container=declared.container or known.container,
         config=declared.config,
-        command=declared.command or commands.get(key, ()),
+        command=commands.get(key) or declared.command,
         machine=declared.machine,
     )
 

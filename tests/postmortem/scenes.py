@@ -197,7 +197,7 @@ class Scene:
             ComponentEvent(
                 stamp_ns=ns(at),
                 kind=ComponentEventKind["LOAD_FAILED" if in_constructor else "CRASHED"],
-                container="",
+                container="/box",
                 unique_id=1,
                 attempt=1,
                 full_node_name=name,

@@ -112,3 +112,12 @@ def test_nodes_of_a_container_that_an_operator_stopped_are_not_missing(tmp_path:
     assert (finding.kind, finding.cause) == ("not_loaded", "its container was never ready")
     scene.dismissed(1, "/box")
     assert scene.story(tmp_path).findings == ()
+
+
+def test_what_ran_counts_after_another_configuration_was_applied(tmp_path: Path) -> None:
+    declared = {"full_name": "/sleep", "package": None, "command": ["sleep", "1"], "line": 7}
+    scene = Scene(resolved={"source": "robot.yaml", "nodes": [declared]})
+    scene.process(1, ProcessEventKind.STARTED, "/sleep", command=("sleep", "2"), pid=5)
+    scene.process(2, ProcessEventKind.EXITED, "/sleep", exit_code=3, pid=5)
+    (finding,) = scene.story(tmp_path).findings
+    assert (finding.place.command, finding.place.config) == (("sleep", "2"), "robot.yaml:7")
