@@ -67,6 +67,19 @@ class _Wait(Struct, frozen=True):
     """Log time when the condition was met; 0: it was not yet, or that is not recorded."""
 
 
+def nodes_of_bring_up(timeline: Timeline) -> list[Unit]:
+    """Give the nodes that the session began with, but for those that are not awaited any more."""
+    begun = timeline.applied_ns or _NEVER
+    return [
+        unit
+        for unit in timeline.units
+        if unit.kind is SubjectKind.NODE
+        and (unit.changes and unit.changes[0][0] < begun)
+        and not unit.is_guest
+        and (unit.arrival or not (unit.is_withdrawn or unit.is_dismissed))
+    ]
+
+
 def critical_chain(timeline: Timeline, last: Unit) -> tuple[Link, ...]:
     """Give the chain that this node is the end of, from it back to the start."""
     found: list[Link] = []

@@ -59,6 +59,7 @@ from play_launch.supervisor.outcome import Cause, Sequel
 from play_launch.supervisor.view import has_ended_well, is_guest
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from play_launch.postmortem.bag_reader import Message, RecordedTopic, Take, TakeOf
@@ -87,6 +88,7 @@ class Timeline:
         self.failures: list[Failure] = []
         self.events: list[FailureEvent] = []
         self.events_left_out = self.changes_left_out = 0
+        self.applied_ns = 0  # log time of the first `apply`
         self.interruptions: list[RecordingInterrupted] = []
         self.machines: dict[str, list[MachineChanged]] = {}
         self.expectations: dict[str, list[ExpectationChanged]] = {}
@@ -149,9 +151,9 @@ class Timeline:
         if topic.name == topics.SYSTEM.name:
             return self.samples.take_system
         if topic.name in PARAMETER_TOPICS:
-            return self._take_parameters
+            return self._taken_by(self.parameters.take)
         if topic.type_name == DIAGNOSTICS_TYPE:
-            return self._take_diagnostics
+            return self._taken_by(self.diagnostics.take)
         return self._take_event if topic.name == topics.GRAPH.name else self.failures_of(topic)
 
     def failures_of(self, topic: RecordedTopic) -> Take | None:
@@ -164,17 +166,14 @@ class Timeline:
             self.fold(event, message.log_time)
         return event
 
-    def _take_parameters(self, message: Message) -> None:
-        try:
-            self.parameters.take(message)
-        except UnreadableEventError as error:
-            self.session.reader.damaged(str(error))
+    def _taken_by(self, take: Callable[[Message], object]) -> Take:
+        def taken(message: Message) -> None:
+            try:
+                take(message)
+            except UnreadableEventError as error:
+                self.session.reader.damaged(str(error))
 
-    def _take_diagnostics(self, message: Message) -> None:
-        try:
-            self.diagnostics.take(message)
-        except UnreadableEventError as error:
-            self.session.reader.damaged(str(error))
+        return taken
 
     def fold(self, event: RunEvent, at_ns: int) -> None:
         """Take one event, received at that log time."""
@@ -207,6 +206,7 @@ class Timeline:
             case WantChanged():
                 self.of_name(event.unit).is_dismissed = not event.is_wanted
             case ActionEvent():
+                self.applied_ns = self.applied_ns or at_ns * (event.action == "apply")
                 for name, is_dismissed in self._version1.dismissals(event):
                     self.of_name(name).is_dismissed = is_dismissed
             case GraphChanged():

@@ -7,9 +7,16 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.cli.explain import headline
-from play_launch.supervisor.events import ManagedState, NodeState, ProcessEventKind
+from play_launch.postmortem.critical_chain import nodes_of_bring_up
+from play_launch.supervisor.events import (
+    ManagedState,
+    NodeState,
+    ProcessEventKind,
+    SubjectKind,
+    Withdrawn,
+)
 from play_launch.supervisor.outcome import Cause
-from tests.postmortem.scenes import Scene, ns
+from tests.postmortem.scenes import Scene, ns, requested
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -121,3 +128,19 @@ def test_what_ran_counts_after_another_configuration_was_applied(tmp_path: Path)
     scene.process(2, ProcessEventKind.EXITED, "/sleep", exit_code=3, pid=5)
     (finding,) = scene.story(tmp_path).findings
     assert (finding.place.command, finding.place.config) == (("sleep", "2"), "robot.yaml:7")
+
+
+def test_a_node_of_a_later_configuration_is_not_late(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    for name in ("/a", "/b", "/c", "/gone"):
+        scene.node(0, name, NodeState.PENDING)
+    for name in ("/a", "/b", "/c"):
+        scene.node(0.5, name, NodeState.LOADED)
+    scene.events.append(requested(ns(60), "apply", ("/box:/new", "/box:/gone")))
+    scene.events.append(Withdrawn(stamp_ns=ns(60), kind=SubjectKind.NODE, key="/box:/gone"))
+    scene.node(60, "/new", NodeState.PENDING)
+    scene.node(61, "/new", NodeState.LOADED)
+    story = scene.story(tmp_path)
+    assert story.findings == ()
+    assert [unit.name for unit in nodes_of_bring_up(story.timeline)] == ["/a", "/b", "/c"]

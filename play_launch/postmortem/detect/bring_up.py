@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from play_launch.config.text import duration
-from play_launch.postmortem.critical_chain import critical_chain
+from play_launch.postmortem.critical_chain import critical_chain, nodes_of_bring_up
 from play_launch.postmortem.findings import DeclaredPlace, Finding
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind, SubjectKind
 
@@ -87,8 +87,7 @@ def _absence(timeline: Timeline, unit: Unit) -> Finding | None:
 
 def _late(timeline: Timeline) -> Iterator[Finding]:
     started = timeline.session.started_ns
-    known = (unit for unit in timeline.units if unit.kind is SubjectKind.NODE and unit.is_known)
-    nodes = [unit for unit in known if not unit.is_guest]
+    nodes = nodes_of_bring_up(timeline)
     arrived = sorted((unit for unit in nodes if unit.arrival), key=lambda unit: unit.ready_ns)
     if len(arrived) < max(_LEAST_NODES, len(nodes)):
         return  # a node that never came is a finding of its own

@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from play_launch.container.cdr.messages import SYSTEM_STATS, read_log
 from play_launch.container.cdr.structure import CdrError
-from play_launch.postmortem.critical_chain import critical_chain
+from play_launch.postmortem.critical_chain import critical_chain, nodes_of_bring_up
 from play_launch.postmortem.mcap_records import LATEST, MESSAGE, RECORD, EqualReader, Runs, Taken
 from play_launch.postmortem.report.log_lines import Lines
 from play_launch.postmortem.report.page import shown
@@ -315,11 +315,7 @@ class Gathered:
         return tuple(shown(link.text(self.started_ns)) for link in links)
 
     def _arrivals(self) -> list[Arrival]:
-        return [
-            self._arrival(unit)
-            for unit in self.timeline.units
-            if unit.kind is SubjectKind.NODE and unit.is_known
-        ]
+        return [*map(self._arrival, nodes_of_bring_up(self.timeline))]
 
     def _arrival(self, unit: Unit) -> Arrival:
         container = self.timeline.unit(SubjectKind.CONTAINER, unit.container)
