@@ -69,7 +69,7 @@ class _Wait(Struct, frozen=True):
 
 def nodes_of_bring_up(timeline: Timeline) -> list[Unit]:
     """Give the nodes that the session began with, but for those that are not awaited any more."""
-    begun = timeline.applied_ns or _NEVER
+    begun = min((at for at, each in timeline.requests if each.action == "apply"), default=_NEVER)
     return [
         unit
         for unit in timeline.units

@@ -35,6 +35,7 @@ from play_launch.postmortem.version1 import Version1
 from play_launch.recording import topics
 from play_launch.supervisor.events import (
     ActionEvent,
+    ActionPhase,
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -88,7 +89,7 @@ class Timeline:
         self.failures: list[Failure] = []
         self.events: list[FailureEvent] = []
         self.events_left_out = self.changes_left_out = 0
-        self.applied_ns = 0  # log time of the first `apply`
+        self.requests: list[tuple[int, ActionEvent]] = []  # of operators, with their log times
         self.interruptions: list[RecordingInterrupted] = []
         self.machines: dict[str, list[MachineChanged]] = {}
         self.expectations: dict[str, list[ExpectationChanged]] = {}
@@ -205,8 +206,8 @@ class Timeline:
                 self.unit(event.kind, event.key).is_withdrawn = True
             case WantChanged():
                 self.of_name(event.unit).is_dismissed = not event.is_wanted
-            case ActionEvent():
-                self.applied_ns = self.applied_ns or at_ns * (event.action == "apply")
+            case ActionEvent(phase=ActionPhase.REQUESTED) if len(self.requests) < MOST_EVENTS:
+                self.requests.append((at_ns, event))
                 for name, is_dismissed in self._version1.dismissals(event):
                     self.of_name(name).is_dismissed = is_dismissed
             case GraphChanged():
@@ -348,8 +349,7 @@ class Timeline:
             unit.down_since_ns = unit.down_since_ns or event.stamp_ns
 
     def _lost(self, event: NodeStateChanged, unit: Unit, container: Unit) -> None:
-        failure = container.failure
-        if failure is None or container.is_stopping:
+        if (failure := container.failure) is None or container.is_stopping:
             return
         if event.node != failure.name:
             failure.hit[event.node] = None

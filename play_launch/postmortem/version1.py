@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from msgspec.structs import replace
 
 from play_launch.supervisor.events import (
-    ActionPhase,
     NodeState,
     NodeStateChanged,
     ProcessEvent,
@@ -123,9 +122,7 @@ class Version1:
     def dismissals(self, event: ActionEvent) -> Iterator[tuple[str, bool]]:
         """Give the units that the request of an operator dismissed, or recalled."""
         is_dismissed = event.action in _DISMISSING
-        if self.is_over or event.phase is not ActionPhase.REQUESTED:
-            return
-        if is_dismissed or event.action in _RECALLING:
+        if not self.is_over and (is_dismissed or event.action in _RECALLING):
             yield from ((unit, is_dismissed) for unit in event.targets)
 
     def interruptions(self) -> Iterator[RecordingInterrupted]:

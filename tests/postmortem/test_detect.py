@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from msgspec.structs import replace
 
 from play_launch.cli.explain import details, headline
 from play_launch.postmortem.diagnostics import LEVELS
@@ -18,7 +19,7 @@ from play_launch.supervisor.events import (
     ProcessEventKind,
 )
 from play_launch.supervisor.outcome import Cause
-from tests.postmortem.scenes import DIAGNOSTICS, SECOND, Scene, ns
+from tests.postmortem.scenes import DIAGNOSTICS, SECOND, Scene, ns, requested
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -423,3 +424,14 @@ def test_a_crash_while_it_stops(tmp_path: Path, cause: Cause, signal: int) -> No
     found = scene.story(tmp_path).findings
     assert [each.kind for each in found] == ["died"] * (signal == 11)
     assert all("stopping" in each.state for each in found)
+
+
+def test_a_signal_that_an_operator_sent_is_told(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.process(0, ProcessEventKind.STARTED, "/sleeper", pid=5)
+    sent = requested(ns(3), "signal", ("/sleeper",))
+    scene.events.append(replace(sent, reason="SIGKILL", command="play-launch signal KILL sleeper"))
+    scene.process(3.1, ProcessEventKind.EXITED, "/sleeper", pid=5, signal=9, message="SIGKILL")
+    (finding,) = scene.story(tmp_path).findings
+    by = "user 0, pid 1: play-launch signal KILL sleeper"
+    assert finding.cause == f"SIGKILL; an operator sent SIGKILL ({by})"

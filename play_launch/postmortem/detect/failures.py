@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from play_launch.postmortem.timeline import Timeline
+    from play_launch.postmortem.units import Failure
 
 _MANY: Final = 8
 """Delays that are listed."""
@@ -48,6 +49,8 @@ _FAILURES: Final = 5
 _WITHIN: Final = 60_000_000_000
 """Nanoseconds for so many."""
 _ENDS: Final = frozenset({Fault.CRASHED, Fault.DIED, Fault.KILLED})
+_SOON: Final = 1_000_000_000
+"""Nanoseconds from the request of a signal to an end that it caused."""
 
 
 def detect(timeline: Timeline) -> Iterator[Finding]:
@@ -78,7 +81,7 @@ def _failed(timeline: Timeline) -> Iterator[Finding]:
             name=each.name,
             key=each.key,
             times_ns=tuple(each.times),
-            cause=each.cause + took,
+            cause=each.cause + took + _request(timeline, each),
             known="out_of_memory" if is_oom else known_cause(each.cause, each.last_lines),
             place=place,
             frames=each.frames,
@@ -94,6 +97,16 @@ def _failed(timeline: Timeline) -> Iterator[Finding]:
             done=tuple(_done(each.sequels)),
             away=() if is_slow else tuple(each.away),
         )
+
+
+def _request(timeline: Timeline, failure: Failure) -> str:
+    """Say which operator sent a signal to a unit that ended then."""
+    for at_ns, request in timeline.requests if failure.fault in _ENDS else ():
+        is_near = 0 <= failure.log_time - at_ns <= _SOON
+        if is_near and request.action == "signal" and failure.key in request.targets:
+            by = f"user {request.uid}, pid {request.pid}: {request.command}"
+            return f"; an operator sent {request.reason} ({by})"
+    return ""
 
 
 def _done(sequels: Mapping[tuple[Sequel, int], str]) -> Iterator[str]:
