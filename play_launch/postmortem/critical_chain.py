@@ -80,6 +80,17 @@ def nodes_of_bring_up(timeline: Timeline) -> list[Unit]:
     ]
 
 
+def left_behind(timeline: Timeline) -> dict[str, list[str]]:
+    """Give the nodes that were not requested because their container was never ready, by it."""
+    found: dict[str, list[str]] = {}
+    for unit in timeline.units:
+        if unit.state is not NodeState.PENDING or unit.is_withdrawn or unit.is_dismissed:
+            continue
+        if not unit.reason and not timeline.of_name(unit.container).ready_ns:
+            found.setdefault(unit.container, []).append(unit.name)
+    return found
+
+
 def critical_chain(timeline: Timeline, last: Unit) -> tuple[Link, ...]:
     """Give the chain that this node is the end of, from it back to the start."""
     found: list[Link] = []

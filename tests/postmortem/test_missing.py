@@ -9,6 +9,7 @@ import pytest
 from play_launch.cli.explain import headline
 from play_launch.postmortem.critical_chain import nodes_of_bring_up
 from play_launch.supervisor.events import (
+    ContainerState,
     ManagedState,
     NodeState,
     ProcessEventKind,
@@ -116,7 +117,7 @@ def test_nodes_of_a_container_that_an_operator_stopped_are_not_missing(tmp_path:
     scene = Scene()
     scene.node(0, "/slam", NodeState.PENDING)
     (finding,) = scene.story(tmp_path).findings
-    assert (finding.kind, finding.cause) == ("not_loaded", "its container was never ready")
+    assert (finding.kind, finding.key) == ("not_loaded", "/box:/slam")
     scene.dismissed(1, "/box")
     assert scene.story(tmp_path).findings == ()
 
@@ -144,3 +145,21 @@ def test_a_node_of_a_later_configuration_is_not_late(tmp_path: Path) -> None:
     story = scene.story(tmp_path)
     assert story.findings == ()
     assert [unit.name for unit in nodes_of_bring_up(story.timeline)] == ["/a", "/b", "/c"]
+
+
+@pytest.mark.parametrize("end", ["it dies", "it waits", "it is not ready"])
+def test_nodes_of_a_container_that_is_never_ready_are_told_with_it(
+    tmp_path: Path, end: str
+) -> None:
+    scene = Scene()
+    for name in ("/slam", "/map"):
+        scene.node(0, name, NodeState.PENDING)
+    reason = "waits for the file /map" if end == "it waits" else ""
+    scene.container(0.1, ContainerState.STARTING, reason=reason)
+    if end != "it waits":
+        scene.process(0.1, ProcessEventKind.STARTED)
+    if end == "it dies":
+        scene.process(0.2, ProcessEventKind.EXITED, exit_code=1)
+    (finding,) = scene.story(tmp_path).findings
+    kind = "died" if end == "it dies" else "not_started"
+    assert (finding.kind, finding.key, finding.hit) == (kind, "/box", ("/slam", "/map"))

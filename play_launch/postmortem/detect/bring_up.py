@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from play_launch.config.text import duration
-from play_launch.postmortem.critical_chain import critical_chain, nodes_of_bring_up
+from play_launch.postmortem.critical_chain import critical_chain, left_behind, nodes_of_bring_up
 from play_launch.postmortem.findings import DeclaredPlace, Finding
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind, SubjectKind
 
@@ -37,18 +37,26 @@ def detect(timeline: Timeline) -> Iterator[Finding]:
 def _missing(timeline: Timeline) -> Iterator[Finding]:
     failed = {each.key for each in timeline.failures}
     dismissed = {each.key for each in timeline.units if each.is_dismissed}
-    for unit in timeline.units:
-        is_meant = unit.is_withdrawn or not dismissed.isdisjoint({unit.key, unit.container})
-        if unit.failure or unit.key in failed or is_meant:
+    units = [
+        unit
+        for unit in timeline.units
+        if not (unit.is_withdrawn or unit.failure or unit.key in failed)
+        and dismissed.isdisjoint({unit.key, unit.container})
+    ]
+    behind = left_behind(timeline)
+    absent = {unit.key: found for unit in units if (found := _absence(timeline, unit))}
+    for unit in units:
+        has_cause = unit.container in failed or unit.container in absent
+        if unit.key not in absent or (has_cause and unit.name in behind.get(unit.container, ())):
             continue
-        if (found := _absence(timeline, unit)) is not None:
-            yield replace(
-                found,
-                name=unit.name,
-                key=unit.key,
-                place=DeclaredPlace(container=unit.container),
-                last_lines=timeline.lines.of_life(unit, unit.since_ns),
-            )
+        yield replace(
+            absent[unit.key],
+            name=unit.name,
+            key=unit.key,
+            place=DeclaredPlace(container=unit.container),
+            last_lines=timeline.lines.of_life(unit, unit.since_ns),
+            hit=tuple(behind.get(unit.key, ())),
+        )
 
 
 def _absence(timeline: Timeline, unit: Unit) -> Finding | None:
@@ -61,6 +69,9 @@ def _absence(timeline: Timeline, unit: Unit) -> Finding | None:
     if unit.kind is not SubjectKind.NODE and unit.waited and not unit.begun_ns and unit.changes:
         says, at_ns = "was not started: it waited, from {at} to the end", unit.changes[0][0]
         return Finding(kind="not_started", rank=2, says=says, times_ns=(at_ns,), cause=unit.waited)
+    if unit.kind is SubjectKind.CONTAINER and unit.begun_ns and not unit.ready_ns:
+        says, at_ns = "was never ready: it was starting since {at}", unit.begun_ns
+        return Finding(kind="not_started", rank=2, says=says, times_ns=(at_ns,))
     # With its container, it did not leave alone.
     if unit.left_ns and timeline.of_name(unit.container).failure is None:
         says = "was unloaded {when}, by another program or itself, and not loaded again"
@@ -79,7 +90,7 @@ def _absence(timeline: Timeline, unit: Unit) -> Finding | None:
         rank=2,
         says=f"was {what}: it was {state} since {{at}}",
         times_ns=(since_ns,),
-        cause=reason or ("" if container.ready_ns else "its container was never ready"),
+        cause=reason,
         state=str(state),
         since_ns=since_ns,
     )

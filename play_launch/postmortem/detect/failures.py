@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.config.text import duration
+from play_launch.postmortem.critical_chain import left_behind
 from play_launch.postmortem.findings import DeclaredPlace, Finding
 from play_launch.postmortem.known_causes import known_cause
 from play_launch.postmortem.units import Downtime, Fault
@@ -61,6 +62,7 @@ def detect(timeline: Timeline) -> Iterator[Finding]:
 
 
 def _failed(timeline: Timeline) -> Iterator[Finding]:
+    behind = left_behind(timeline)
     for each in timeline.failures:
         rank, says = _WORDS[each.fault]
         if each.fault is Fault.LOAD_FAILED and each.is_crash:
@@ -93,7 +95,7 @@ def _failed(timeline: Timeline) -> Iterator[Finding]:
             last_lines=each.last_lines,
             parameters=each.parameters,
             before=each.before,
-            hit=tuple(each.hit),
+            hit=(*each.hit, *behind.get(each.key, ())),
             done=tuple(_done(each.sequels)),
             away=() if is_slow else tuple(each.away),
         )
