@@ -269,7 +269,7 @@ class Timeline:
             case NodeState.GAVE_UP if not is_repeated:
                 self._gave_up(unit, event.reason, at_ns)
             case NodeState.LOST if not is_repeated:
-                self._lost(event, unit, container)
+                unit.lost_with(container, event.stamp_ns)
         unit.crashes, unit.restarts, unit.reason = event.crashes, event.reloads, event.reason
         if not is_repeated:
             self._change(unit, event.state, at_ns)
@@ -348,14 +348,6 @@ class Timeline:
         if not container.is_stopping:
             unit.down_since_ns = unit.down_since_ns or event.stamp_ns
 
-    def _lost(self, event: NodeStateChanged, unit: Unit, container: Unit) -> None:
-        if (failure := container.failure) is None or container.is_stopping:
-            return
-        if event.node != failure.name:
-            failure.hit[event.node] = None
-        if not unit.down_since_ns:
-            unit.down_since_ns, unit.failure = event.stamp_ns, failure
-
     def _gave_up(self, unit: Unit, reason: str, at_ns: int) -> None:
         if unit.failure is not None:
             why = reason.removeprefix(unit.reason).lstrip(";: ")
@@ -380,6 +372,8 @@ class Timeline:
 
     def _exited(self, event: ProcessEvent, unit: Unit, at_ns: int) -> bool:
         """Take the end of a process; return whether it is one that was not wanted."""
+        if unit.pid and event.pid not in {0, unit.pid}:
+            return False  # it was moved, and runs on another machine by then
         was, since_ns = unit.phase, unit.since_ns
         unit.phase, unit.since_ns = "exited", event.stamp_ns
         may_end = unit.is_stopping or unit.kind is SubjectKind.PROCESS  # a container never is done

@@ -268,6 +268,16 @@ class Unit(Struct, kw_only=True):
             last = lines.of_life(self, at_ns)
             self.blocks.append(Block(event.stamp_ns - before, at_ns - before, last))
 
+    def lost_with(self, container: Unit, stamp_ns: int) -> None:
+        """Note that it went because its container did; not if that was requested to."""
+        failure = container.failure
+        if failure is None or container.is_stopping:
+            return
+        if self.name != failure.name:
+            failure.hit[self.name] = None
+        if not self.down_since_ns:
+            self.down_since_ns, self.failure = stamp_ns, failure
+
 
 class Block(Struct):
     """One callback that an executor did not leave for long."""

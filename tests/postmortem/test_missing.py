@@ -163,3 +163,13 @@ def test_nodes_of_a_container_that_is_never_ready_are_told_with_it(
     (finding,) = scene.story(tmp_path).findings
     kind = "died" if end == "it dies" else "not_started"
     assert (finding.kind, finding.key, finding.hit) == (kind, "/box", ("/slam", "/map"))
+
+
+def test_a_unit_that_was_moved_to_another_machine_has_not_died(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.process(0, ProcessEventKind.STARTED, pid=5)
+    scene.process(1, ProcessEventKind.STOPPING, pid=5, cause=Cause.STOPPED)
+    scene.process(1.1, ProcessEventKind.STARTED, pid=9)  # on the other machine
+    scene.container(1.2, ContainerState.RUNNING)
+    scene.process(1.3, ProcessEventKind.EXITED, pid=5, cause=Cause.STOPPED)
+    assert scene.story(tmp_path).findings == ()
