@@ -17,6 +17,7 @@ from play_launch.config.dependency import Condition  # noqa: TC001 - msgspec rea
 from play_launch.config.machines import AWAITED_ELSEWHERE
 from play_launch.control.messages import Seconds  # noqa: TC001 - msgspec reads annotations
 from play_launch.supervisor.conditions import condition_state
+from play_launch.supervisor.view import exit_code
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -66,16 +67,23 @@ class Coordinated:
         return {"met": len(request.met)}
 
     async def conditions(self, _request: object, caller: Caller) -> object:
-        """Send the conditions that are met of those that other machines wait for, at each change.
+        """Send what coordinates machines at each change, until the connection ends.
 
-        It continues until the connection ends.
+        It is the conditions that are met of those that others wait for, and the exit code that the
+        session would have.
         """
-        sent: list[Met] | None = None
+        seen: SystemView | None = None
+        sent: dict[str, object] = {}
         while True:
             self._changed.clear()
-            if (met := self._met()) != sent:
-                sent = met
-                await caller.send("met", met)
+            now = sent | {"met": self._met()}
+            if (view := self._system.publisher.view) is not seen:
+                seen = view
+                now["exit_code"] = exit_code(self._system.view_before_stop, view, None)
+            for name, value in now.items():
+                if name not in sent or sent[name] != value:
+                    await caller.send(name, value)
+            sent = now
             await self._changed.wait()
 
     async def lease(self, request: Lease, _caller: Caller) -> object:

@@ -12,8 +12,10 @@ from typing import Any
 import psutil
 import pytest
 
+from play_launch import ExitCode
 from play_launch.deploy.machines.namespaces import missing
 from tests.support.hosts import Hosts, running, supervisors, system
+from tests.support.replay import is_
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"hosts: {missing()}")
@@ -308,3 +310,19 @@ def test_without_its_coordinator_a_machine_with_stop_after_stops_itself(
         assert supervisors(net, 2)
     with running(net, config) as heir:
         heir.loaded().stop()
+
+
+@pytest.mark.parametrize("command", ["exit 7", "kill -SEGV $$"])
+def test_a_failure_elsewhere_is_in_the_exit_code(net: Hosts, tmp_path: Path, command: str) -> None:
+    config, ends = system(tmp_path, "codes"), tmp_path / "ends"
+    waits = f"until [ -e {ends} ]; do read -t 0.05 <> <(:); done; true"
+    more = f"""\
+  - {{name: bad, machine: h3, command: [bash, -c, "{command}"]}}
+  - {{name: last, machine: h2, on_exit: shutdown, command: [bash, -c, "{waits}"]}}
+"""
+    config.write_text(config.read_text() + more)
+    with running(net, config) as whole:
+        ended = is_(event="process", name="/bad", kind="exited")
+        until(lambda: any(map(ended, whole.events())), "its end")
+        ends.touch()
+        assert whole.process.wait(60) == ExitCode.NODE_FAILED

@@ -12,8 +12,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from play_launch import ExitCode
 from play_launch.deploy.machines.namespaces import Namespaces, missing
-from tests.support.replay import alive, run
+from tests.support.replay import alive, replaying, run
 from tests.support.waiting import until
 
 PROGRAM = Path(sys.executable).with_name("play-launch")
@@ -58,3 +59,34 @@ def test_a_killed_demo_leaves_no_process_and_the_next_one_removes_its_hosts(
     assert left in subprocess.check_output(["ip", "netns", "list"], text=True)
     with Namespaces(tmp_path / "hosts", 1):
         assert left not in subprocess.check_output(["ip", "netns", "list"], text=True)
+
+
+UNITS = {
+    "command: [bash, -c, exit 7]": ("exited", ExitCode.NODE_FAILED),
+    "command: [bash, -c, kill -SEGV $$]": ("exited", ExitCode.NODE_FAILED),
+    'command: ["true"]': ("exited", ExitCode.OK),
+    'command: [sleep, "9"], depends_on: [{file: /not/there}]': ("waiting", ExitCode.NODES_MISSING),
+}
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_the_exit_code_says_what_became_of_units(tmp_path: Path, unit: str) -> None:
+    config, ends = tmp_path / "codes.yaml", tmp_path / "ends"
+    config.write_text(
+        f"""\
+version: 1
+machines: {{main: {{local: true}}}}
+nodes:
+  - {{name: unit, machine: main, {unit}}}
+  - name: last
+    machine: main
+    on_exit: shutdown
+    command: [bash, -c, "until [ -e {ends} ]; do read -t 0.05 <> <(:); done; true"]
+"""
+    )
+    kind, code = UNITS[unit]
+    with replaying(config, tmp_path / "logs") as replay:
+        replay.until(event="process", name="/unit", kind=kind)
+        ends.touch()
+        replay.read_all()
+    assert replay.process.returncode == code

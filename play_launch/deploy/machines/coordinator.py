@@ -35,7 +35,7 @@ from play_launch.process.descendants import first_of
 from play_launch.supervisor.events import MachineState
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from anyio.abc import TaskGroup
 
@@ -55,7 +55,6 @@ _CLOSING: Final = 60.0
 """Seconds until all recordings are closed."""
 _ABSENT: Final = 5.0
 """Seconds before an absent machine is tried again."""
-_FAILED: Final = frozenset(("gave up", "load failed", "crashed", "lost"))
 
 
 class Coordinator:
@@ -133,7 +132,15 @@ class Coordinator:
                 tasks.start_soon(self._all_loaded)
                 await first_of(stop.wait(), self._ended.wait())
             self._tasks = None
-            code = self._exit_code()
+            is_lost = any(p.state is MachineState.UNREACHABLE for p in self.parts.values())
+            codes: set[int] = {ExitCode.NODES_MISSING} if is_lost else set()
+            codes |= {ExitCode.NODE_FAILED} if self._failures else set()
+            # After a signal, the exit code says that.
+            used = () if stop.is_set() else used_machines(self.config)
+            telling = [self.parts[name] for name in used if name in self.parts]
+            with anyio.move_on_after(_CLOSING):
+                for part in telling:
+                    await part.update_exit_code()
             if not detach or stop.is_set():
                 await first_of(self._stop(), hurry.wait())
                 for part in self.parts.values():
@@ -141,7 +148,8 @@ class Coordinator:
             tasks.cancel_scope.cancel()
         for part in self.parts.values():
             await part.close()
-        return code
+        codes |= {part.exit_code for part in telling}
+        return min(codes - {ExitCode.OK}, default=ExitCode.OK)  # a failure before what is missing
 
     @property
     def there(self) -> dict[str, Part]:
@@ -407,20 +415,20 @@ class Coordinator:
 
     async def _stop(self) -> None:
         """Stop the machines, those first that depend on others."""
+
+        async def stopped(parts: Iterable[Part]) -> None:
+            async with anyio.create_task_group() as tasks:
+                for part in parts:
+                    tasks.start_soon(part.stop, float(stop_seconds(part.config)))
+
         before = stopped_after(self.config)
         left = set(self.parts)
         while left:
             now = {name for name in left if not before.get(name, frozenset()) & left} or set(left)
             left -= now
-            async with anyio.create_task_group() as tasks:
-                for name in sorted(now):
-                    part = self.parts[name]
-                    tasks.start_soon(part.stop, float(stop_seconds(part.config)))
+            await stopped(self.parts[name] for name in sorted(now))
         # A connection that was lost may have come back since its machine was to be stopped.
-        async with anyio.create_task_group() as tasks:
-            for part in self.parts.values():
-                if part.state is MachineState.RUNNING:
-                    tasks.start_soon(part.stop, float(stop_seconds(part.config)))
+        await stopped(p for p in self.parts.values() if p.state is MachineState.RUNNING)
         lost = any(each.state is MachineState.UNREACHABLE for each in self.parts.values())
         with anyio.move_on_after(0 if lost else _CLOSING):
             while self._followed:
@@ -429,14 +437,6 @@ class Coordinator:
         for part in self.parts.values():
             if part.state is MachineState.UNREACHABLE:
                 _log.error("%s could not be stopped: %s", part.name, part.reason)
-
-    def _exit_code(self) -> int:
-        rows = [row for part in self.parts.values() for row in part.rows]
-        if self._failures or any(row["state"] in _FAILED for row in rows):
-            return ExitCode.NODE_FAILED
-        if any(part.state is MachineState.UNREACHABLE for part in self.parts.values()):
-            return ExitCode.NODES_MISSING
-        return ExitCode.OK
 
     async def _exchange_conditions(self) -> None:
         """Tell each machine what is met on the others."""

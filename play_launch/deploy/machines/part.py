@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import anyio
 
+from play_launch import ExitCode
 from play_launch.config.machines import Service
 from play_launch.control.feed import USUAL_KINDS
 from play_launch.control.protocol import Code, OperationError
@@ -49,7 +50,6 @@ _STARTS: Final = 5
 _REFRESH: Final = 0.3
 """Seconds between an event and the rows that are kept for when the machine is lost."""
 BEGUN: Final = frozenset((MachineState.CONNECTING, MachineState.STARTING, MachineState.UNREACHABLE))
-"""A machine is on its way, or back."""
 OVER: Final = frozenset((MachineState.ENDED, MachineState.FAILED))
 _UNTIL_GONE: Final = """\
 for i in $(seq 1000); do kill -0 {pid} 2> /dev/null || break; sleep 0.05; done"""
@@ -78,29 +78,23 @@ class Part:
         self.reason = ""
         self.since_ns = time.time_ns()
         self.rows: list[dict[str, Any]] = []
-        """The latest ones that it sent."""
         self.met: list[list[str]] = []
         """Conditions that others wait for."""
+        self.exit_code: int = ExitCode.NODES_MISSING
+        """What its session would exit with, as it last said."""
         self.hello: dict[str, Any] = {}
         self.clock = self._new_clock()
         self.changed = asyncio.Event()
-        """Set at each change of the state."""
         self.peers: tuple[str, ...] = ()
-        self._arguments = tuple(arguments)
-        self._program = program
-        self._on_event = on_event
-        self._on_met = on_met
+        self._arguments, self._program = tuple(arguments), program
+        self._on_event, self._on_met, self._on_change = on_event, on_met, on_change
         self._host: Host | None = None
         self._about: About | None = None
         self._bundle: Bundle | None = None
         self._link = ""
         self._seen = 0
-        """Number of the latest event."""
         self._stale = asyncio.Event()
-        """Whether its rows may have changed."""
-        self.ends_all = False
-        """Whether a rule of it ends the whole system: `on_exit: shutdown`."""
-        self._on_change = on_change
+        self.ends_all = False  # by a rule: `on_exit: shutdown`
         self._starts: list[float] = []
         self._is_adopting = False
         self.told: list[list[str]] = []
@@ -228,7 +222,6 @@ class Part:
         await self.host.run(bundle.adopt_command())
 
     def take(self, part: ReplayConfig, bundle: Bundle) -> None:
-        """Take a configuration that was brought as that of the part."""
         self.config, self._bundle, self._arguments = part, bundle, bundle.arguments
         self.machine = bundle.machine
 
@@ -265,7 +258,7 @@ class Part:
     async def _exchange(self) -> None:
         """Exchange conditions with other machines; raises OperationError and LinkLost."""
         await self.tell(self.told)
-        await self._conditions()
+        await self.listen()
         raise SessionGone
 
     async def _start(self) -> str:
@@ -321,7 +314,7 @@ class Part:
             tasks.cancel_scope.cancel()
 
         async with anyio.create_task_group() as tasks:
-            for work in (self._events, self._conditions, self._keep_rows, self._care):
+            for work in (self._events, self.listen, self._keep_rows, self._care):
                 tasks.start_soon(guarded, work)
         if lost:
             raise lost[0]
@@ -345,13 +338,21 @@ class Part:
         finally:
             channel.close()
 
-    async def _conditions(self) -> None:
+    async def update_exit_code(self) -> None:
+        with contextlib.suppress(LinkLost, OperationError):
+            await self.listen(once=True)
+
+    async def listen(self, *, once: bool = False) -> None:
+        """Take the conditions and the exit code that it tells; raises as `ask`."""
         channel = await self.open()
         try:
             async for message in channel.stream("conditions"):
+                self.exit_code = message.get("exit_code", self.exit_code)
                 if "met" in message:
                     self.met = message["met"]
                     self._on_met()
+                elif once:
+                    return
         finally:
             channel.close()
 
