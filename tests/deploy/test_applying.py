@@ -259,7 +259,7 @@ def test_what_has_failed_is_tried_again_by_a_new_supervisor(
         until(is_back, "its return")
         state = again.rows()["/listener"]["state"]
         assert state == ("loaded" if rolls_back else "load failed")
-        again.stop(code=130 if rolls_back else 1)
+        again.stop()
 
 
 def test_a_program_that_is_to_be_copied_comes_with_the_change(net: Hosts, tmp_path: Path) -> None:
