@@ -258,6 +258,13 @@ def _plain(value: object) -> object:
     return str(value) if isinstance(value, NodeKey) else value
 
 
+def _names_of_key(key: str) -> tuple[str, ...]:
+    if ":/" not in key:
+        return (key,)
+    node = NodeKey.parsed(key)
+    return node.name, node.container
+
+
 def names_of(event: RunEvent) -> tuple[str, ...]:
     """Give the full names of what an event is about; of a node, that of its container as well."""
     match event:
@@ -270,9 +277,13 @@ def names_of(event: RunEvent) -> tuple[str, ...]:
         case OutputLine():
             return (event.process,)
         case ComponentEvent():
-            return (event.full_node_name or event.plugin_name,)
+            return event.full_node_name or event.plugin_name, event.container
         case ActionEvent():
-            return event.targets
+            return tuple(name for key in event.targets for name in _names_of_key(key))
+        case Withdrawn():
+            return _names_of_key(event.key)
+        case WantChanged():
+            return _names_of_key(event.unit)
         case ManagedNodeChanged():
             return (event.node,)
         case MachineChanged():

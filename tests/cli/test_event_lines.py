@@ -1,11 +1,11 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from play_launch.cli.show.event_lines import DisplayLine, format_lines, line_of
+from play_launch.control.event_words import names_of
 from play_launch.supervisor.events import (
-    ActionEvent,
-    ActionPhase,
     ContainerState,
     LogRecord,
     ManagedNodeChanged,
@@ -14,8 +14,12 @@ from play_launch.supervisor.events import (
     ProcessEventKind,
     RunEvent,
     Stream,
+    SubjectKind,
+    WantChanged,
+    Withdrawn,
 )
 from tests.cli.scenes import START, container, node, output, process, view
+from tests.postmortem.scenes import requested
 
 
 def line(event: RunEvent, *earlier: RunEvent) -> DisplayLine | None:
@@ -155,15 +159,17 @@ def test_what_waits_says_for_what() -> None:
 
 
 def test_an_action_on_the_whole_system_has_no_names() -> None:
-    asked = ActionEvent(
-        stamp_ns=START,
-        number=1,
-        action="apply",
-        phase=ActionPhase.REQUESTED,
-        targets=(),
-        uid=7,
-        pid=8,
-        command="",
-        reason="a.yaml",
-    )
-    assert text(asked) == "20 play-launch apply (a.yaml): requested by user 7, pid 8"
+    asked = replace(requested(START, "apply", ()), reason="a.yaml")
+    assert text(asked) == "20 play-launch apply (a.yaml): requested by user 0, pid 1"
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        requested(START, "signal", ("/box:/talker",)),
+        WantChanged(stamp_ns=START, unit="/box:/talker", is_wanted=False),
+        Withdrawn(stamp_ns=START, kind=SubjectKind.NODE, key="/box:/talker"),
+    ],
+)
+def test_what_is_about_a_node_is_found_by_its_name_and_its_container(event: RunEvent) -> None:
+    assert names_of(event) == ("/talker", "/box")
