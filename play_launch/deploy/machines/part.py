@@ -291,7 +291,7 @@ class Part:
         if channel.hello["session"] != self.hello.get("session"):
             if self.hello:
                 _log.warning("%s: its session was started anew meanwhile", self.name)
-            self._seen = 0
+            self._seen, self.exit_code = 0, ExitCode.OK
             self.clock = self._new_clock()
         self.hello, self._link = channel.hello, link
         self.put(MachineState.RUNNING)
