@@ -96,8 +96,11 @@ class Outcome(Struct, frozen=True):
         return replace(self, sequel=sequel, delay_ns=round(delay * 1e9))
 
 
-def outcome_of(exit_: Exit, *, is_requested: bool) -> Outcome:
-    """Give the cause of an exit that the supervisor did not force for another reason."""
+def outcome_of(exit_: Exit, *, is_requested: bool, may_end: bool) -> Outcome:
+    """Give the cause of an exit that the supervisor did not force for another reason.
+
+    A process ``may_end`` with status 0; a container never is done.
+    """
     if exit_.signal == signal.SIGKILL and is_requested:
         return Outcome(Cause.STOP_TIMEOUT)
     if is_requested and (exit_.is_ok or exit_.signal in ENDING_SIGNALS):
@@ -106,7 +109,7 @@ def outcome_of(exit_: Exit, *, is_requested: bool) -> Outcome:
         return Outcome(Cause.UNKNOWN_STATUS)
     if exit_.signal:
         return Outcome(Cause.SIGNAL)
-    return Outcome(Cause.EXIT_STATUS if exit_.code else Cause.NONE)
+    return Outcome(Cause.NONE if may_end and exit_.is_ok else Cause.EXIT_STATUS)
 
 
 def described(what: str, reason: str) -> str:

@@ -154,12 +154,14 @@ def exited(step: Reduction, said: inputs.Exited) -> None:
         return  # it was reported before
     is_stopping = process.phase is Phase.STOPPING or process.stopped
     is_killed = bool(process.killed_because)
-    outcome = process.outcome if is_killed else outcome_of(said.exit, is_requested=is_stopping)
+    is_process = process.container is None
+    ending = outcome_of(said.exit, is_requested=is_stopping, may_end=is_process)
+    outcome = process.outcome if is_killed else ending
     values = {"exit": said.exit, "exit_cause": outcome.cause, "outcome": outcome}
     process = step.world.put(process, is_stuck=False, due=None, **values)
     if process.phase in INACTIVE or process.phase in {Phase.QUEUED, Phase.BACKOFF}:
         return  # what follows was decided before
-    text, code, is_process = said.exit.text, said.exit.code, process.container is None
+    text, code = said.exit.text, said.exit.code
     because = f"{process.killed_because}; " if is_killed else ""
     if is_process and process.config.on_exit is not OnExit.RESTART:
         _exit(step, process, "", is_done=True)

@@ -9,7 +9,13 @@ import pytest
 
 from play_launch import ExitCode
 from play_launch.postmortem.findings import is_wrong
-from play_launch.supervisor.events import ContainerState, SubjectKind
+from play_launch.supervisor.events import (
+    ContainerState,
+    ProcessEvent,
+    ProcessEventKind,
+    SubjectKind,
+)
+from play_launch.supervisor.outcome import Cause
 from tests.postmortem.scenes import Scene, story_of
 
 from .machine import Machine, lived
@@ -52,6 +58,14 @@ def test_the_recording_tells_what_was_shown_and_explains_what_failed(
         path = Scene(events=machine.events).record(tmp_path / f"{seed}.mcap")
         story = story_of(path)
         assert _remembered(story.timeline) == _shown(machine.view), f"seed {seed}"
+        causes = {
+            each.cause
+            for each in machine.events
+            if isinstance(each, ProcessEvent)
+            and each.kind is ProcessEventKind.EXITED
+            and each.name in machine.view.containers
+        }
+        assert Cause.NONE not in causes, f"seed {seed}: a container never is done"
         kinds = {each.kind for each in story.findings}
         if machine.exit_code == ExitCode.OK:
             assert not kinds & {"not_loaded", "not_started", "left"}, f"seed {seed}"
