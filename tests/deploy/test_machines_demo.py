@@ -90,3 +90,16 @@ nodes:
         ends.touch()
         replay.read_all()
     assert replay.process.returncode == code
+
+
+def test_a_machine_whose_work_is_done_at_once_has_ended_well(tmp_path: Path) -> None:
+    config = tmp_path / "quick.yaml"
+    config.write_text(
+        """\
+version: 1
+machines: {main: {local: true}}
+nodes: [{name: quick, machine: main, command: ["true"]}]
+"""
+    )
+    done = run("replay", config, "--log-dir", tmp_path / "logs", code=ExitCode.OK)
+    assert "main has ended: its session has ended" in done.stdout + done.stderr

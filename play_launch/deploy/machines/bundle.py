@@ -180,10 +180,12 @@ class Bundle:
 
     def start_command(self) -> str:
         adopted = self.folder.removesuffix(f"-{self._hash}")
-        script, output = (shlex.quote(f"{adopted}/{name}") for name in ("start.sh", "output"))
+        names = ("start.sh", "output", "status")
+        script, output, status = (shlex.quote(f"{adopted}/{name}") for name in names)
         bash = f"bash --norc --noprofile {script}"
         if self.machine.local or self.machine.service is Service.NONE:
-            return f"setsid {bash} < /dev/null > {output} 2>&1 & echo $!"
+            run = f"{bash} < /dev/null > {output} 2>&1; echo $? > {status}"
+            return f"rm -f {status}; setsid bash -c {shlex.quote(run)} & echo $!"
         user = "--user " if self.machine.service is Service.USER else ""
         settings = {
             "Type": "notify",

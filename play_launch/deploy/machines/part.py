@@ -37,18 +37,15 @@ if TYPE_CHECKING:
     from play_launch.deploy.machines.hosts import About, Host
 
 _log = logging.getLogger(__name__)
-_RETRY: Final = (0.25, 5.0)
-"""First and longest pause in seconds before a lost machine is tried again."""
-_APPEARS: Final = 60.0
-"""Seconds from the start of a session until its socket exists, on a cold disk."""
+_RETRY: Final = (0.25, 5.0)  # first and longest pause in seconds before a lost one is tried again
+_APPEARS: Final = 60.0  # seconds from the start of a session to its socket, on a cold disk
 _POLL: Final = 0.1
-_AGAIN: Final = 1.0
-"""Seconds before a session that refused a request is followed again."""
+_ENDED_WELL: Final = {str(int(code)) for code in (ExitCode.OK, ExitCode.NODES_MISSING)}
+_AGAIN: Final = 1.0  # seconds before a session that refused a request is followed again
 _CLOCK_PERIOD: Final = 30.0
-_STARTS: Final = 5
-"""Starts of a session that was killed, in a minute."""
-_REFRESH: Final = 0.3
-"""Seconds between an event and the rows that are kept for when the machine is lost."""
+_STARTS: Final = 5  # of a session that was killed, in a minute
+_REFRESH: Final = 0.3  # seconds between an event and the rows that are kept
+_ENDED: Final = "its session has ended"
 BEGUN: Final = frozenset((MachineState.CONNECTING, MachineState.STARTING, MachineState.UNREACHABLE))
 OVER: Final = frozenset((MachineState.ENDED, MachineState.FAILED))
 _UNTIL_GONE: Final = """\
@@ -78,10 +75,8 @@ class Part:
         self.reason = ""
         self.since_ns = time.time_ns()
         self.rows: list[dict[str, Any]] = []
-        self.met: list[list[str]] = []
-        """Conditions that others wait for."""
-        self.exit_code: int = ExitCode.NODES_MISSING
-        """What its session would exit with, as it last said."""
+        self.met: list[list[str]] = []  # conditions that others wait for
+        self.exit_code: int = ExitCode.NODES_MISSING  # that its session would have
         self.hello: dict[str, Any] = {}
         self.clock = self._new_clock()
         self.changed = asyncio.Event()
@@ -91,16 +86,12 @@ class Part:
         self._host: Host | None = None
         self._about: About | None = None
         self._bundle: Bundle | None = None
-        self._link = ""
-        self._seen = 0
+        self._link, self._seen = "", 0
         self._stale = asyncio.Event()
         self.ends_all = False  # by a rule: `on_exit: shutdown`
         self._starts: list[float] = []
         self._is_adopting = False
-        self.told: list[list[str]] = []
-        """Conditions that are met elsewhere."""
-
-    # What others use.
+        self.told: list[list[str]] = []  # conditions that are met elsewhere
 
     @property
     def bundle(self) -> Bundle:
@@ -158,8 +149,9 @@ class Part:
                     await self._follow()
             except LinkLost as lost:
                 await self._lose(lost)
-        with contextlib.suppress(LinkLost):  # its recording is closed
-            await self.host.run(_UNTIL_GONE.format(pid=int(self.hello["pid"])))
+        if self.hello:
+            with contextlib.suppress(LinkLost):  # its recording is closed
+                await self.host.run(_UNTIL_GONE.format(pid=int(self.hello["pid"])))
 
     async def stop(self, limit: float) -> None:
         """End its session in order, and wait for that; one that is being started comes up first."""
@@ -262,7 +254,7 @@ class Part:
         raise SessionGone
 
     async def _start(self) -> str:
-        """Start the session and return its link."""
+        """Start the session and return its link; empty if it has ended by now."""
         now = time.monotonic()
         self._starts = [each for each in self._starts if now - each < 60] + [now]
         if len(self._starts) > _STARTS:
@@ -270,22 +262,30 @@ class Part:
         output = await self.host.run(self.bundle.start_command())
         if output.status:
             raise HostError(f"its session cannot be started: {output.stderr or output.stdout}")
-        pid = output.stdout.strip()
+        pid, folder = output.stdout.strip(), shlex.quote(self.bundle.folder)
         deadline = time.monotonic() + _APPEARS
         while time.monotonic() < deadline:
             if link := await self._running():
                 return link
             if pid and (await self.host.run(f"kill -0 {pid}")).status:
-                tail = await self.host.run(f"tail -n 5 {shlex.quote(self.bundle.folder)}/output")
-                if BUSY not in tail.stdout:
-                    raise HostError(f"its session ended at once: {tail.stdout.strip()}")
-                pid = ""
+                output = await self.host.run(f"cd {folder}; cat status; tail -n 5 output")
+                status, _, tail = output.stdout.partition("\n")
+                if BUSY in tail:
+                    pid = ""
+                elif status in _ENDED_WELL:
+                    self.exit_code = int(status)
+                    return ""
+                else:
+                    raise HostError(f"its session ended at once: {tail.strip()}")
             await asyncio.sleep(_POLL)
         raise HostError(f"its session did not answer within {_APPEARS:g} s")
 
     # A session that runs.
 
     async def _attach(self, link: str) -> None:
+        if not link:
+            self.put(MachineState.ENDED, _ENDED)
+            return
         channel = await Channel.open(self.host, link)
         channel.close()
         if channel.hello["session"] != self.hello.get("session"):
@@ -399,7 +399,7 @@ class Part:
         assert self._about is not None
         if self._link not in await links_of(self.host, self._about):
             # A session that ends in order removes its link when nothing of it runs any more.
-            self.put(MachineState.ENDED, "its session has ended")
+            self.put(MachineState.ENDED, _ENDED)
             return
         self.put(MachineState.STARTING, "the supervisor of its session was killed")
         if self.machine.local or self.machine.service is Service.NONE:
