@@ -185,7 +185,7 @@ class Bundle:
         bash = f"bash --norc --noprofile {script}"
         if self.machine.local or self.machine.service is Service.NONE:
             run = f"{bash} < /dev/null > {output} 2>&1; echo $? > {status}"
-            return f"rm -f {status}; setsid bash -c {shlex.quote(run)} & echo $!"
+            return f"rm -f {status}; setsid bash -c {shlex.quote(run)} > /dev/null 2>&1 & echo $!"
         user = "--user " if self.machine.service is Service.USER else ""
         settings = {
             "Type": "notify",
