@@ -215,7 +215,7 @@ class Unit(Struct, kw_only=True):
     is_stopping: bool = False
     is_withdrawn: bool = False
     is_dismissed: bool = False
-    """An operator stopped or unloaded it, and it is not wanted again since."""
+    """An operator stopped or unloaded it, and has not requested it since."""
     is_guest: bool = False
     """Another program loaded it."""
     changes: list[tuple[int, State, bool]] = field(default_factory=list)

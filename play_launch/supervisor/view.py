@@ -155,8 +155,8 @@ class SystemView(_Nodes, frozen=True, kw_only=True):
     managed: Mapping[str, ManagedNodeChanged] = field(default_factory=_empty)
     """The latest state of each managed node that is brought somewhere, by unit."""
     dismissed: frozenset[str] = frozenset()
-    """What an operator stopped or unloaded and is not wanted again since: containers and
-    processes by name, composable nodes by key."""
+    """What an operator stopped or unloaded and has not requested since: containers and processes
+    by name, composable nodes by key."""
 
     @property
     def expected(self) -> SystemView:

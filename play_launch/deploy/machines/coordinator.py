@@ -53,6 +53,7 @@ _BRING_UP: Final = 600.0
 """Seconds until a start that is to be left alone counts as done."""
 _CLOSING: Final = 60.0
 """Seconds until all recordings are closed."""
+_TELLING: Final = 5.0  # seconds until all have told the exit code that they would have
 _ABSENT: Final = 5.0
 """Seconds before an absent machine is tried again."""
 
@@ -135,10 +136,9 @@ class Coordinator:
             is_lost = any(p.state is MachineState.UNREACHABLE for p in self.parts.values())
             codes: set[int] = {ExitCode.NODES_MISSING} if is_lost else set()
             codes |= {ExitCode.NODE_FAILED} if self._failures else set()
-            # After a signal, the exit code says that.
             used = () if stop.is_set() else used_machines(self.config)
             telling = [self.parts[name] for name in used if name in self.parts]
-            with anyio.move_on_after(_CLOSING):
+            with anyio.move_on_after(_TELLING):
                 for part in telling:
                     await part.update_exit_code()
             if not detach or stop.is_set():
