@@ -41,6 +41,8 @@ RECORD: Final = struct.Struct("<BQ")
 """Kind and length of the content."""
 _INDEX: Final = struct.Struct("<BQHI")
 """A message index: channel and length of the entries, which follow."""
+_ENTRY: Final = 16
+"""Log time and offset of a message."""
 MESSAGE: Final = struct.Struct("<BQHIQQ")
 """Kind, length, channel, sequence number, log time, publish time; the data follows."""
 MESSAGE_KIND: Final = int(Opcode.MESSAGE)
@@ -184,8 +186,7 @@ def end_of_indexes(file: IO[bytes], at: int) -> int:
         window = file.read(_INDEX.size)
     end = 0
     while True:
-        if (short := _SHORT_INDEXES.match(window, end)) is not None:
-            end = short.end()
+        end += _whole(_SHORT_INDEXES.match(window, end), _INDEX.size + _ENTRY)
         if len(window) - end < _INDEX.size:
             break
         kind, length, _, size = _INDEX.unpack_from(window, end)
@@ -207,7 +208,16 @@ def equal_records(data: bytes, begin: int) -> bytes:
     length = RECORD.unpack(head)[1]
     # At most a hundred such expressions are compiled: `re` keeps them.
     found = re.compile(b"(?:%b.{%d})++" % (re.escape(head), length), re.DOTALL).match(data, begin)
-    return found[0] if found is not None else b""
+    return data[begin : begin + _whole(found, RECORD.size + length)]
+
+
+def _whole(found: re.Match[bytes] | None, size: int) -> int:
+    """Return how many bytes of whole records were found.
+
+    Before Python 3.11.5 a possessive match may end within one.
+    """
+    matched = 0 if found is None else found.end() - found.start()
+    return matched - matched % size
 
 
 def read_record(read: Callable[[Any], Any], content: bytes) -> Any:

@@ -21,7 +21,7 @@ from play_launch.postmortem.bag_reader import BagReader, Message, NotARecordingE
 from play_launch.postmortem.recover import write_whole
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.folder import MAGIC, open_bag
-from play_launch.recording.topics import OUTPUT
+from play_launch.recording.topics import LOG_ALL, OUTPUT
 
 if TYPE_CHECKING:
     from collections.abc import Container
@@ -73,6 +73,23 @@ def test_a_whole_file_is_read(compression: CompressionType) -> None:
     assert (reader.begin, reader.end) == (1000, 1000 + COUNT - 1)
     assert reader.attachments["config.yaml"].data == b"version: 1"
     assert reader.metadata == {"play_launch.session": {"name": "x"}}
+
+
+@pytest.mark.parametrize("messages", range(1, 36))
+def test_topics_with_one_message_and_with_many_stand_in_one_chunk(
+    tmp_path: Path, messages: int
+) -> None:
+    """The index of 17 messages begins like one of a single message."""
+    writer = BagWriter(tmp_path / "session.mcap")
+    once, often = writer.register(OUTPUT), writer.register(LOG_ALL)
+    for chunk in range(3):
+        for channel in (once, *[often] * messages):
+            writer.write(channel, b"\0\1\0\0text", log_time=chunk, publish_time=chunk)
+        writer.flush()
+    writer.close()
+    reader = BagReader(writer.path)
+    assert len(list(reader.messages())) == 3 * (1 + messages)
+    assert reader.is_complete
 
 
 def test_only_wanted_messages_are_given_and_all_are_counted() -> None:
