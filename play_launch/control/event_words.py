@@ -133,7 +133,7 @@ def words_of(event: RunEvent) -> EventText:
         case Withdrawn():
             return EventText(INFO, event.key, "taken out of the system")
         case WantChanged():
-            text = "is wanted again" if event.is_wanted else "is not wanted any more"
+            text = "requested again" if event.is_wanted else "dismissed by an operator"
             return EventText(DEBUG, event.unit, text)
         case _:
             values = event_object(event)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _CUT: Final = " [cut]"
 _NO_MODULES: Final = bytes(11)
-"""The lengths of a sequence and of a text, and up to three bytes before them that align them."""
+"""The lengths of the modules and of the container, with what aligns them."""
 _NO_OUTCOME: Final = bytes(32)
 """Cause, sequel, delay and culprit, with what aligns them."""
 

@@ -70,7 +70,7 @@ UNITS = {
 
 
 @pytest.mark.parametrize("unit", UNITS)
-def test_the_exit_code_says_what_became_of_units(tmp_path: Path, unit: str) -> None:
+def test_the_exit_code_follows_from_the_units(tmp_path: Path, unit: str) -> None:
     config, ends = tmp_path / "codes.yaml", tmp_path / "ends"
     config.write_text(
         f"""\
