@@ -108,8 +108,10 @@ class ControlServer:
             error = refused.exceptions[0]
             assert isinstance(error, OperationError)
             writer.write(encode({"id": None, "error": error.as_object()}))
-        except* ConnectionError:
-            pass
+        except* OSError:
+            pass  # of this connection
+        except* Exception:
+            _log.exception("a client's connection failed")
         finally:
             writer.close()
 

@@ -340,7 +340,7 @@ class SessionGuard:
 
     def _read(self) -> None:
         answer = b""
-        with suppress(ConnectionError):
+        with suppress(OSError):
             answer = self._socket.recv(_ANSWER.size)
         if len(answer) != _ANSWER.size:
             self._lose()

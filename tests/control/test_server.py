@@ -12,9 +12,11 @@ import socket
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unittest.mock import Mock
 
 import pytest
 
+from play_launch.control import server
 from play_launch.control.messages import SessionHello
 from play_launch.control.protocol import REQUEST_LIMIT, Code, OperationError, decode, encode
 from play_launch.control.registration import CONTROL_SOCKET, LINKS, ControlSocket, registered
@@ -268,6 +270,23 @@ def test_a_client_that_disappears_ends_what_it_asked_for(tmp_path: Path) -> None
             gone.close()
             while session.under_way:
                 other.ask("echo")
+
+    with_server(tmp_path, talk)
+
+
+@pytest.mark.parametrize("error", [OSError(105, "no buffer space"), RuntimeError("of our own")])
+def test_a_connection_that_fails_ends_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def talk(_: Session) -> None:
+        with connect_to(str(tmp_path)) as earlier:
+            with monkeypatch.context() as patch:
+                patch.setattr(server, "peer_of", Mock(side_effect=error))
+                with pytest.raises((NoSessionError, ConnectionError)):
+                    connect_to(str(tmp_path))
+            assert earlier.ask("echo", {"a": 1}) == {"a": 1}
+        with connect_to(str(tmp_path)) as later:
+            assert later.ask("echo", {"a": 2}) == {"a": 2}
 
     with_server(tmp_path, talk)
 
