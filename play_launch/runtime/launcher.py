@@ -81,10 +81,11 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-_PASSING: Final = frozenset(
-    {errno.EAGAIN, errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EPIPE, errno.ECONNRESET}
+_LASTING: Final = frozenset(
+    {0, errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.EACCES}
+    | {errno.EPERM, errno.ENOEXEC, errno.ELIBBAD, errno.E2BIG, errno.EINVAL, errno.ENOSYS}
 )
-"""Errors of a start that may not be there the next time."""
+"""Errors of a start, 0 for unusable arguments, that the next one would meet as well."""
 
 
 class StartError(Exception):
@@ -391,7 +392,7 @@ class NativeLauncher:
                 mark="" if config is None else mark_for(os.getpid(), config.full_name),
             )
         except SpawnError as error:
-            raise StartError(str(error), permanent=error.errno not in _PASSING) from error
+            raise StartError(str(error), permanent=error.errno in _LASTING) from error
         except OSError as error:
             raise StartError(f"no guard: {error.strerror}", permanent=False) from error
 
@@ -403,7 +404,7 @@ async def _made(make: Callable[[], Command]) -> Command:
     except (ExecutableNotFoundError, ParameterFileError, ValueError) as error:
         raise StartError(str(error), permanent=True) from error
     except OSError as error:
-        raise StartError(str(error.strerror), permanent=error.errno not in _PASSING) from error
+        raise StartError(str(error.strerror), permanent=error.errno in _LASTING) from error
 
 
 def _participants(config: ReplayConfig) -> int:

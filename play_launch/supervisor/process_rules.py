@@ -123,7 +123,8 @@ def not_started(step: Reduction, said: inputs.NotStarted) -> None:
     if process.phase not in {Phase.SPAWNING, Phase.STOPPING}:
         return  # what follows was decided before
     respawns = process.container is not None or process.config.on_exit is OnExit.RESTART
-    _exit(step, process, said.reason, is_permanent=said.is_permanent or not respawns)
+    would_repeat = said.is_permanent and not process.restarts.streak
+    _exit(step, process, said.reason, is_permanent=would_repeat or not respawns)
 
 
 def greeted(step: Reduction, said: inputs.Greeted) -> None:
@@ -167,7 +168,11 @@ def exited(step: Reduction, said: inputs.Exited) -> None:
         _exit(step, process, "", is_done=True)
     elif process.hello is not None and code == CONTEXT_EXIT_CODE:
         _exit(step, process, "a node shut its ROS context down", is_done=True)
-    elif process.hello is None and code in (_NEVER_RAN if is_process else PERMANENT_EXIT_CODES):
+    elif (
+        process.hello is None
+        and code in (_NEVER_RAN if is_process else PERMANENT_EXIT_CODES)
+        and not process.restarts.streak  # its program may be built anew meanwhile
+    ):
         why = f"{because}{text}: {PERMANENT_EXIT_CODES[code]}"
         _exit(step, process, why, is_permanent=True)
     else:

@@ -119,6 +119,35 @@ def test_a_program_that_is_slow_to_execute_holds_nothing_up_and_starts_once(
     assert kinds == ["started", "stopping", "exited"]
 
 
+@pytest.mark.parametrize("state", ["gone", "not executable", "busy"])
+def test_a_process_that_crashes_while_it_is_built_anew_is_started_again(
+    tmp_path: Path, state: str
+) -> None:
+    sleep = shutil.which("sleep") or ""
+    program = Path(shutil.copy(sleep, tmp_path / "built"))
+    limits = {"max_restarts": 1000, "backoff": {"maximum": "100 ms"}}
+    nodes = [
+        {"name": "a", "command": [str(program), "600"], "on_exit": "restart", "restart": limits}
+    ]
+    with ExitStack() as building, replaying(write(tmp_path, nodes), tmp_path / "logs") as replay:
+        first = replay.until(event="process", kind="started")
+        if state == "gone":
+            program.unlink()
+        elif state == "not executable":
+            program.chmod(0o644)
+        else:  # one that runs cannot be written to
+            program.unlink()
+            building.callback(os.close, os.open(program, os.O_WRONLY | os.O_CREAT, 0o755))
+        os.kill(first["pid"], signal.SIGSEGV)
+        replay.until(event="process", kind="restarting", restarts=2)
+        building.close()
+        shutil.copy(sleep, program)
+        until(lambda: runs(replay, program) > 0, "the program")
+        replay.process.send_signal(signal.SIGTERM)
+        replay.read_all()
+    assert not replay.told(event="process", kind="gave up")
+
+
 def runs(replay: Replay, program: Path) -> int:
     found = 0
     for each in replay.descendants():

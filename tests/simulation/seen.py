@@ -75,6 +75,8 @@ class Starts:
     """Restarts that nothing requested: time of the death, of the spawn, whether no node was being
     loaded."""
     streak: int = 0
+    may_be_again: bool = False
+    """Whether the latest start may have followed from an exit as well as from a request."""
     is_fatal: bool = False
     was_stopped: bool = False
     was_killed: bool = False

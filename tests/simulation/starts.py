@@ -31,7 +31,7 @@ LATE: Final = 2.0
 ALONE: Final = 60.0
 """Seconds for which a load keeps others waiting."""
 REPEATS: Final = frozenset({64, 125, 126, 127})
-"""Exit codes that the next start would repeat."""
+"""Exit codes that the next start would repeat, if it was the first."""
 NEVER_RAN: Final = frozenset({126, 127})
 CONTEXT: Final = 79
 SLACK: Final = 1e-6
@@ -67,6 +67,8 @@ class StartChecks:
         self._slots(effect)
         starts = seen.starts[unit]
         if starts.ending is None or seen.is_requested(unit) or starts.ending.was_stopped:
+            ending = starts.ending
+            starts.may_be_again = not (ending is None or ending.was_stopped)
             starts.restarts.clear()
             starts.streak = 0
             seen.forgive(unit)
@@ -119,14 +121,16 @@ class StartChecks:
     def _cannot_succeed(self, process: Process, starts: Starts, ending: Ending) -> None:
         code = 0 if ending.exit is None else ending.exit.code
         name, text = "what cannot succeed is not tried again", f"{process.name}: {ending}"
-        wrong = ending.is_permanent or starts.is_fatal
+        wrong = starts.is_fatal
+        is_first = not starts.streak and not starts.may_be_again
         if process.container is None:
             if process.config.on_exit is not OnExit.RESTART:
                 raise BrokenError("what has ended is not started again", text, (process.name,))
-            wrong = wrong or code in NEVER_RAN
+            repeats = code in NEVER_RAN
         else:
-            wrong = wrong or code in (frozenset({CONTEXT}) if ending.was_ready else REPEATS)
-        if wrong:
+            wrong = wrong or (code == CONTEXT and ending.was_ready)
+            repeats = code in REPEATS and not ending.was_ready
+        if wrong or (is_first and (repeats or ending.is_permanent)):
             raise BrokenError(name, text, (process.name,))
 
     def load(self, effect: said.Load) -> None:
