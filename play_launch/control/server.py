@@ -103,14 +103,14 @@ class ControlServer:
                     caller = Caller(pid, uid, request.command, partial(_send, writer, request.id))
                     task = tasks.create_task(self._carry_out(request, caller, writer))
                     task.add_done_callback(lambda _: slots.release())
-                raise ConnectionResetError  # ends its requests
+                raise ConnectionResetError  # noqa: TRY301 - ends its requests
         except* OperationError as refused:
             error = refused.exceptions[0]
             assert isinstance(error, OperationError)
             writer.write(encode({"id": None, "error": error.as_object()}))
         except* OSError:
             pass  # of this connection
-        except* Exception:
+        except* Exception:  # noqa: BLE001 - the others are served on
             _log.exception("a client's connection failed")
         finally:
             writer.close()
