@@ -47,7 +47,7 @@ class StartChecks:
         self._sent: dict[NodeKey, float] = {}
         """When the latest load of a node was sent."""
         self._held: set[tuple[str, Dependency]] = set()
-        """What held once while a container waited, which may then have waited for its turn."""
+        """What held, or was waited for long enough, before a unit that then waited for its turn."""
         self._met: dict[str, float] = {}
         """Since when all conditions of a unit hold that has not been started."""
         self._delayed: set[str] = set()
@@ -210,9 +210,12 @@ class StartChecks:
             ):
                 self._held |= {(unit, each) for each in rule.dependencies if self.holds(each)}
             if ":/" in unit and unit not in self._first:
-                is_up = self._is_shown_up(unit_of(unit))
-                if is_up and self._waited(unit) >= rule.delay - SLACK:
+                waited = self._waited(unit) if self._is_shown_up(unit_of(unit)) else -1.0
+                if waited >= rule.delay - SLACK:
                     self._delayed.add(unit)
+                for each in rule.dependencies:
+                    if each.on_timeout is OnTimeout.START and waited >= each.timeout - SLACK:
+                        self._held.add((unit, each))
 
     def _is_late(self, unit: str, rule: StartRule) -> None:
         """Judge what waits although its conditions hold, or has failed by them."""
