@@ -63,7 +63,7 @@ def _prepare_standard_streams() -> None:
     """
     for number in range(3):
         try:
-            os.fstat(number)
+            os.set_blocking(number, True)  # another program may have changed it
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # the lowest free number: this one
     sys.stdin = sys.stdin or _null(0, "r")

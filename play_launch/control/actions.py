@@ -358,8 +358,10 @@ class Actions:
         try:
             with ProcessHandle.open(ProcessIdentity(pid, start_time)) as handle:
                 is_sent = handle.send_signal(number)
-        except (NoSuchProcessError, OSError) as error:
+        except NoSuchProcessError as error:
             return str(error)
+        except OSError as error:
+            return error.strerror or str(error)
         return DONE if is_sent else "it has just exited"
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import socket
 import subprocess
 import sys
+import termios
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +21,7 @@ from tests.postmortem.scenes import Scene
 from tests.support.launch import SLEEPER, use_launch
 from tests.support.mounts import mounted
 from tests.support.replay import COMMAND, finished, run
+from tests.support.waiting import until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -378,6 +381,26 @@ def test_an_answer_that_nobody_takes(
     assert result.returncode == code
     expected = "error: cannot write the output: No space left on device\n" if code else ""
     assert result.stderr == expected
+
+
+def test_a_pipe_that_another_program_made_non_blocking_takes_everything() -> None:
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
+    os.set_blocking(writing, False)
+    command = [COMMAND, "manual"]
+    with subprocess.Popen(command, stdout=writing, stderr=subprocess.PIPE, text=True) as process:
+        os.close(writing)
+        until(lambda: process.poll() is not None or waiting_in(reading) >= 4096, "a full pipe")
+        with os.fdopen(reading, encoding="utf-8") as lines:
+            text = lines.read()
+        assert process.stderr is not None
+        assert not process.stderr.read()
+    assert process.returncode == 0
+    assert text == finished(command).stdout
+
+
+def waiting_in(pipe: int) -> int:
+    return int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), sys.byteorder)
 
 
 def test_whoever_has_seen_enough_is_not_kept_waiting(tmp_path: Path) -> None:
