@@ -228,7 +228,8 @@ class Seen:
 
     def _reported(self, one: said.NodeReported) -> None:
         for key, attempt in self.attempts.items():
-            if key.container == one.unit and attempt == one.attempt and one.said == "crashed":
+            has_crashed = one.said in {"crashed", "load_failed"}  # in its constructor
+            if key.container == one.unit and attempt == one.attempt and has_crashed:
                 self.crashed[key] = one.start
 
     def effect(self, effect: said.Effect) -> None:
