@@ -143,7 +143,7 @@ def test_keys_complete_verbs_options_and_live_names(terminal: Terminal, tmp_path
     assert terminal.words(b"play-launch stop /talke\t")[2:] == ["/talke"]
 
 
-def test_a_session_that_hangs_offers_nothing_and_holds_up_nobody(tmp_path: Path) -> None:
+def test_a_session_that_hangs_offers_nothing_and_delays_no_command(tmp_path: Path) -> None:
     with running(tmp_path, "robot") as hanging:
         until_offered("stop /t", {"/talker"})
         hanging.process.send_signal(signal.SIGSTOP)

@@ -131,7 +131,7 @@ def test_lines_are_laid_out_with_their_source_and_cleaned() -> None:
     assert timed.endswith(".007 [/a] x\n")
 
 
-def test_a_container_of_somebody_else_has_no_pid() -> None:
+def test_an_attached_container_has_no_pid() -> None:
     assert text(process("/c", ProcessEventKind.STARTED, pid=0), container("/c")) == (
         "20 /c attaching"
     )

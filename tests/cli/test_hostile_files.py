@@ -373,7 +373,7 @@ with whole_file(Path(sys.argv[1])) as one, whole_file(Path(sys.argv[2])) as othe
 
 @pytest.mark.parametrize("verb", ["info", "inspect", "explain", "crashes", "export", "layout"])
 @pytest.mark.parametrize(("redirection", "code"), [(">/dev/full", 2), (">&-", 0)])
-def test_an_answer_that_nobody_takes(
+def test_an_answer_that_cannot_be_written(
     tmp_path: Path, good: Path, verb: str, redirection: str, code: int
 ) -> None:
     arguments = [verb, "foxglove", str(good)] if verb == "layout" else [verb, str(good)]
@@ -403,7 +403,7 @@ def waiting_in(pipe: int) -> int:
     return int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), sys.byteorder)
 
 
-def test_whoever_has_seen_enough_is_not_kept_waiting(tmp_path: Path) -> None:
+def test_a_reader_that_has_gone_ends_the_command(tmp_path: Path) -> None:
     made = Scene()
     made.started()
     for number in range(20_000):

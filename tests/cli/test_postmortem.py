@@ -102,7 +102,7 @@ def test_what_a_node_wrote_cannot_spoil_the_terminal(tmp_path: Path) -> None:
     assert "\x07" not in result.stdout
 
 
-def test_a_bag_of_somebody_else_is_not_replayed(tmp_path: Path, good: Path) -> None:
+def test_a_bag_of_another_program_is_not_replayed(tmp_path: Path, good: Path) -> None:
     result = run("replay", good, "--log-dir", tmp_path / "logs")
     assert result.returncode == 2
     assert "is an MCAP recording; give the YAML file" in result.stderr

@@ -110,7 +110,9 @@ def test_what_does_not_come_up_is_not_awaited_for_ever(monkeypatch: pytest.Monke
     run(main)
 
 
-def test_who_may_not_does_not_try_again_before_the_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_permission_it_is_not_tried_again_before_the_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     async def main() -> None:
         bench = Bench(monkeypatch, is_permitted=False)
         running = asyncio.ensure_future(run_ahead_of(bench.publisher, bench.stop))

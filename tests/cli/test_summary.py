@@ -142,7 +142,7 @@ def test_crashed_nodes_with_the_same_label_are_told_apart_by_their_containers() 
     assert "/d:/[demo::Talker]" in text
 
 
-def test_who_was_held_back_by_limits_is_in_the_summary() -> None:
+def test_units_that_limits_held_back_are_in_the_summary() -> None:
     used = {
         (SubjectKind.CONTAINER, "/bad"): GroupTotal(cpu_seconds=9.0),
         (SubjectKind.NODE, "/bad:/bad/n0"): GroupTotal(

@@ -31,7 +31,7 @@ FOREVER = {"seconds": 3600.0}
 LOAD = 2
 
 
-def test_the_hello_says_who_is_there(spawn: StartContainer, other_domain: int) -> None:
+def test_the_hello_describes_the_container(spawn: StartContainer, other_domain: int) -> None:
     container = spawn(
         "--use_multi_threaded_executor",
         "--thread_num",
@@ -216,7 +216,7 @@ def test_lost_frames_can_be_asked_for(spawn: StartContainer) -> None:
     container.loaded("Listener")
 
 
-def test_a_peer_that_does_not_read_blocks_nobody(spawn: StartContainer) -> None:
+def test_a_peer_that_does_not_read_blocks_no_other(spawn: StartContainer) -> None:
     container = spawn()
     # Each query is answered with all nodes: much more than the socket and the queue can hold.
     for number in range(20):

@@ -185,7 +185,7 @@ def ended(container: Container, attempt: int) -> ComponentEvent:
 
 
 @needs_keys
-def test_who_comes_back_has_a_key_although_all_are_taken(spawn: StartContainer) -> None:
+def test_a_reloaded_node_has_a_key_although_all_are_taken(spawn: StartContainer) -> None:
     container = start_guarded(spawn, "required")
     with survives(container):
         loaded: list[ComponentEvent] = []

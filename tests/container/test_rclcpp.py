@@ -189,9 +189,7 @@ def test_it_waits_for_a_running_callback(
 
 
 @pytest.mark.parametrize("mode", ALL_MODES)
-def test_nobody_calls_a_node_that_is_destroyed(
-    spawn: StartContainer, components: str, mode: str
-) -> None:
+def test_a_destroyed_node_is_not_called(spawn: StartContainer, components: str, mode: str) -> None:
     container = start(spawn, mode)
     container.loaded("Watcher", package=components)
     gone = container.loaded("Watcher", package=components, node_name="gone")

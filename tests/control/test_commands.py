@@ -335,9 +335,7 @@ def test_a_killed_supervisor_leaves_a_socket_that_is_recognised(
         assert rows()["/chat"]["state"] == "running"
 
 
-def test_a_full_disk_under_the_session_does_not_keep_anybody_from_operating_it(
-    config: Path, tmp_path: Path
-) -> None:
+def test_a_session_on_a_full_disk_can_be_operated(config: Path, tmp_path: Path) -> None:
     with disk_of("8M", tmp_path / "disk") as disk, running(config, disk):
         with contextlib.suppress(OSError), (disk / "filler").open("wb", buffering=0) as file:
             while file.write(b"x" * 65536):

@@ -190,7 +190,7 @@ def test_of_one_name_the_session_that_answers_is_not_chosen(session: Callable[..
     assert f"the session in {silent} does not answer" in str(refused.value)
 
 
-def test_a_silent_session_of_another_name_holds_up_nobody(session: Callable[..., Path]) -> None:
+def test_a_silent_session_of_another_name_delays_no_command(session: Callable[..., Path]) -> None:
     session("arm", 0)
     base = session("base")
     assert connected("base", limit=10_000) == str(base)
@@ -201,7 +201,7 @@ def test_a_silent_session_of_another_name_holds_up_nobody(session: Callable[...,
         connect("gripper")
 
 
-def test_a_killed_session_that_nobody_waited_for_is_no_second_one(
+def test_a_killed_session_that_is_a_zombie_is_no_second_one(
     session: Callable[..., Path], tmp_path: Path, links: Path
 ) -> None:
     base = session("base")

@@ -316,12 +316,12 @@ def test_a_folder_with_a_long_path(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become another user")
-def test_another_user_is_refused_even_where_the_file_lets_everybody_in(tmp_path: Path) -> None:
+def test_another_user_is_refused_even_where_the_mode_of_the_file_permits_it(tmp_path: Path) -> None:
     for folder in (tmp_path, *tmp_path.parents):
         if folder.stat().st_uid == os.geteuid():
             folder.chmod(folder.stat().st_mode | 0o055)
 
-    def ask_as_nobody(path: str) -> bytes:
+    def ask_as_another_user(path: str) -> bytes:
         ours, theirs = os.pipe()
         child = os.fork()
         if child == 0:
@@ -345,9 +345,9 @@ def test_another_user_is_refused_even_where_the_file_lets_everybody_in(tmp_path:
 
     def talk(session: Session) -> None:
         path = os.path.relpath(tmp_path / CONTROL_SOCKET)
-        assert ask_as_nobody(path) == b"13"  # EACCES: the mode of the socket
+        assert ask_as_another_user(path) == b"13"  # EACCES: the mode of the socket
         (tmp_path / CONTROL_SOCKET).chmod(0o666)
-        answer = decode(ask_as_nobody(path).strip())
+        answer = decode(ask_as_another_user(path).strip())
         assert answer["error"]["code"] == Code.NOT_ALLOWED
         assert "you are user 65534" in answer["error"]["message"]
         assert not session.callers

@@ -78,7 +78,7 @@ def test_a_requested_container_brings_nodes_that_gave_up(tmp_path: Path) -> None
         replay.until(event="node", node="/talker", state="loaded")
 
 
-def test_nobody_waits_for_what_does_not_come_up_any_more(tmp_path: Path) -> None:
+def test_a_wait_ends_when_its_unit_can_no_longer_come_up(tmp_path: Path) -> None:
     deaf, config = tmp_path / "deaf.py", tmp_path / "robot.yaml"
     deaf.write_text(DEAF, encoding="utf-8")
     config.write_text(

@@ -58,7 +58,7 @@ def test_other_addresses_are_no_manager(address: str) -> None:
     assert environ == {}
 
 
-def test_a_manager_that_is_gone_or_does_not_read_holds_nobody_up(tmp_path: Path) -> None:
+def test_a_manager_that_is_gone_or_does_not_read_delays_nothing(tmp_path: Path) -> None:
     listening = Listening.in_folder(tmp_path)
     with closing(listening):
         manager = claim({"NOTIFY_SOCKET": listening.address})

@@ -116,7 +116,7 @@ def test_ready_is_said_when_everything_is_up_or_failed_for_good(tmp_path: Path) 
         run(main())
 
 
-def test_who_cannot_be_operated_yet_is_not_ready(tmp_path: Path) -> None:
+def test_a_session_that_cannot_be_operated_yet_is_not_ready(tmp_path: Path) -> None:
     async def main() -> None:
         operable: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         async with reported(

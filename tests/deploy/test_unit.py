@@ -147,7 +147,7 @@ def system(**keys: Any) -> ReplayConfig:
     return parse_config(json.dumps({"version": 1, **keys}).encode(), Path("/etc/robot.yaml"))
 
 
-def test_a_stop_takes_as_long_as_its_levels_and_those_who_wait_for_each_other() -> None:
+def test_a_stop_takes_as_long_as_its_levels_and_units_that_wait_for_each_other() -> None:
     limits = {"ask": "1 s", "sigint": "2 s", "sigterm": "3 s"}
     # 5 s for SIGKILL, 10 s to close the recording.
     assert stop_seconds(system(stop=limits, nodes=[{**SLEEP, "name": "a"}])) == 21

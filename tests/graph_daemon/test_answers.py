@@ -118,7 +118,7 @@ def test_our_own_method_is_not_listed(daemon: DaemonAddress) -> None:
     assert STATUS_METHOD not in ask(daemon, "system.listMethods")
 
 
-def test_whoever_knows_the_generation_gets_no_status_until_it_changes(
+def test_a_client_with_the_generation_gets_no_status_until_it_changes(
     known_scene: DaemonAddress,
 ) -> None:
     from tests.support.ros import Probe

@@ -32,7 +32,7 @@ def command(*words: str, **environment: str) -> tuple[int, str, str]:
 
 
 @pytest.fixture
-def _nobody(address: DaemonAddress, logs: Path) -> Iterator[None]:
+def _no_client(address: DaemonAddress, logs: Path) -> Iterator[None]:
     stop_daemon(address)
     yield
     try:
@@ -41,7 +41,7 @@ def _nobody(address: DaemonAddress, logs: Path) -> Iterator[None]:
         end_daemons(address.domain)
 
 
-@pytest.mark.usefixtures("_nobody")
+@pytest.mark.usefixtures("_no_client")
 def test_a_life(address: DaemonAddress) -> None:
     domain = f"domain {address.domain}"
     assert command("status")[:2] == (1, f"no daemon runs for {domain}\n")
@@ -60,7 +60,7 @@ def test_a_life(address: DaemonAddress) -> None:
     assert command("status")[0] == 1
 
 
-@pytest.mark.usefixtures("_nobody")
+@pytest.mark.usefixtures("_no_client")
 def test_the_status_for_machines_names_everything(address: DaemonAddress) -> None:
     assert json.loads(command("status", "--json")[1]) == {
         "running": False,

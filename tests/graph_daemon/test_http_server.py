@@ -137,7 +137,7 @@ def test_an_answer_for_a_client_that_left_is_dropped() -> None:
 @pytest.mark.parametrize(
     "beginning", [b"", b"POST /ros2", call()[:-1], b"GET / HTTP/1.1\r\n\r\n", call()]
 )
-def test_a_client_that_stands_still_is_reset_and_disturbs_nobody(beginning: bytes) -> None:
+def test_a_client_that_stands_still_is_reset_and_does_not_delay_others(beginning: bytes) -> None:
     async def scenario() -> None:
         async with serving(ServerLimits(deadline=0.5)) as clients:
             reader, writer = await clients.connect()
@@ -193,7 +193,7 @@ def test_a_client_that_never_reads_is_reset_and_its_answer_freed() -> None:
 
 
 @pytest.mark.parametrize("stream", [b"x" * 65536, call() * 500])
-def test_a_client_that_sends_without_a_pause_keeps_nobody_waiting(stream: bytes) -> None:
+def test_a_client_that_sends_without_a_pause_does_not_delay_others(stream: bytes) -> None:
     def flood(port: int) -> None:
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port)) as client:
             client.setblocking(False)

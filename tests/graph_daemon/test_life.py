@@ -219,7 +219,7 @@ def test_other_settings_are_reported_and_a_restart_takes_them(
     gone(second)
 
 
-def test_it_ends_when_nobody_asks(address: DaemonAddress) -> None:
+def test_it_ends_without_requests(address: DaemonAddress) -> None:
     started = start_daemon(address, idle_timeout=1.0, wait_for=LISTENING)
     assert gone(started) == 0
     assert stock_can_start(address)

@@ -49,7 +49,7 @@ def sessions(base: Path) -> list[Path]:
     return [each for each in base.iterdir() if each.is_dir()]
 
 
-def test_everybody_is_born_in_a_leaf_and_nothing_is_left(base: Path, tmp_path: Path) -> None:
+def test_processes_start_in_leaves_and_no_group_is_left(base: Path, tmp_path: Path) -> None:
     config = write(tmp_path / "a.yaml", base, cgroups={"enabled": True}, **SYSTEM)
     with replaying(config, tmp_path / "log") as replay:
         pids = until_up(replay, *EVERYTHING)
@@ -101,7 +101,7 @@ def test_the_groups_of_a_killed_supervisor_are_removed(base: Path, tmp_path: Pat
         until(lambda: not session.exists(), "the removal of its groups")
 
 
-def test_what_somebody_does_to_the_groups_loses_nothing(base: Path, tmp_path: Path) -> None:
+def test_changes_of_groups_from_outside_lose_nothing(base: Path, tmp_path: Path) -> None:
     shell = {**SYSTEM["nodes"][0], "on_exit": "restart", "restart": FAST}
     config = write(
         tmp_path / "a.yaml",

@@ -217,7 +217,7 @@ def test_failures_have_reasons_and_the_container_lives_on(probe: Probe) -> None:
 
 
 @pytest.mark.usefixtures("container")
-def test_a_slow_constructor_blocks_nobody(probe: Probe) -> None:
+def test_a_slow_constructor_blocks_no_other_node(probe: Probe) -> None:
     slow = probe.start_call(
         LoadNode,
         f"{CONTAINER}/_container/load_node",

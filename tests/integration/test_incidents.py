@@ -199,7 +199,7 @@ def test_a_null_pointer_that_ends_the_whole_container(tmp_path: Path) -> None:
     assert any("die" in place for place in group["signature"]["frames"])
 
 
-def test_an_exception_that_nobody_caught(tmp_path: Path) -> None:
+def test_an_exception_that_was_not_caught(tmp_path: Path) -> None:
     bag = recorded_until(
         tmp_path, node("victim", "Crasher", "how: deep_exception, after: 0.1"), *CRASHED
     )

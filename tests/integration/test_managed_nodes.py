@@ -209,7 +209,7 @@ def test_waiting_ends_when_all_of_them_are_active(tmp_path: Path) -> None:
         assert states(replay, "/slow")[:4] == WAY
 
 
-def test_waiting_for_one_that_nobody_activates(tmp_path: Path) -> None:
+def test_waiting_for_a_node_that_is_never_activated(tmp_path: Path) -> None:
     config = write(tmp_path, containers=[container(WATCHED)])
     with replaying(config, tmp_path / "logs") as replay:
         replay.until(event="node", node="/watched", state="loaded")

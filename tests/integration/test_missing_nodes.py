@@ -104,7 +104,7 @@ def test_the_exit_code_says_that_something_is_missing(runs: dict[str, Replay], n
 
 
 @pytest.mark.parametrize("name", ["unloaded_standard", "unloaded_isolated"])
-def test_a_node_that_somebody_else_unloads(runs: dict[str, Replay], name: str) -> None:
+def test_a_node_that_another_program_unloads(runs: dict[str, Replay], name: str) -> None:
     replay = runs[name]
     talker = f"/{name}/talker"
     assert unloaded(replay, talker)["reason"] == "not at the supervisor's request"
@@ -112,7 +112,7 @@ def test_a_node_that_somebody_else_unloads(runs: dict[str, Replay], name: str) -
     assert (container["loaded"], container["unloaded"]) == (1, [talker])
 
 
-def test_a_container_that_somebody_else_ends_in_order(runs: dict[str, Replay]) -> None:
+def test_a_container_that_another_program_ends_in_order(runs: dict[str, Replay]) -> None:
     replay = runs["terminated"]
     exited = replay.told(event="process", kind="exited")[0]
     assert (exited["exit_code"], exited["signal"]) == (0, 0)

@@ -267,7 +267,7 @@ def lines(logs: Path) -> list[str]:
     ("redirection", "arguments"),
     [(">&-", []), (">&-", ["--json"]), (">/dev/full 2>&1", []), (">/dev/full", ["--json"])],
 )
-def test_a_run_whose_output_nobody_takes(
+def test_a_run_whose_output_is_not_read(
     tmp_path: Path, redirection: str, arguments: list[str]
 ) -> None:
     config = tmp_path / "config.yaml"

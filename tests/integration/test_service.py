@@ -122,7 +122,7 @@ def test_a_service_lives_as_its_unit_says(tmp_path: Path, kind: str) -> None:
     assert not [each for each in descendants if each.is_running()]
 
 
-def test_who_does_not_run_feeds_no_watchdog(tmp_path: Path) -> None:
+def test_a_stopped_supervisor_feeds_no_watchdog(tmp_path: Path) -> None:
     config = tmp_path / "robot.yaml"
     config.write_text('version: 1\nnodes:\n  - {name: sleeper, command: [sleep, "1000"]}\n')
     listening = Listening.in_folder(tmp_path)

@@ -87,7 +87,7 @@ def test_real_components_are_loaded_talk_and_are_recorded(tmp_path: Path) -> Non
         assert recorded(replay.bag, f"/play_launch/{topic}")
 
 
-def test_a_node_that_somebody_else_unloads_is_told(tmp_path: Path) -> None:
+def test_a_node_that_another_program_unloads_is_reported(tmp_path: Path) -> None:
     config = write(tmp_path, HONEST)
     with replaying(config, tmp_path, "--duration", LIMIT) as replay:
         loaded = replay.read_until(state("/listener", "loaded"), "the node")
@@ -147,9 +147,7 @@ def test_attaching_refuses_names_that_are_there_loads_the_rest_and_unloads_only_
     assert [name for name, _ in double.journal("construct")] == ["/there", "/stranger", "/missing"]
 
 
-def test_a_container_of_somebody_else_is_waited_for_and_for_again(
-    tmp_path: Path, double: Double
-) -> None:
+def test_an_attached_container_is_waited_for_again(tmp_path: Path, double: Double) -> None:
     config = write(tmp_path, THEIRS | {"composable_nodes": [any_node("one")]})
     with replaying(config, tmp_path, "--duration", LIMIT) as replay:
         with running_double(double):
@@ -195,7 +193,7 @@ def test_coming_and_going_is_bounded(tmp_path: Path, double: Double) -> None:
     assert told(replay, "/theirs is not started again")
 
 
-def test_nobody_is_waited_for_in_silence(tmp_path: Path) -> None:
+def test_a_wait_for_an_attached_container_is_reported(tmp_path: Path) -> None:
     config = write(tmp_path, THEIRS | {"composable_nodes": [any_node("one")]})
     with replaying(config, tmp_path, "--duration", LIMIT) as replay:
         replay.until(

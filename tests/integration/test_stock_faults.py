@@ -139,7 +139,7 @@ def test_a_slow_constructor_is_waited_for_and_reported(run: Run) -> None:
     assert run.loaded("/slow")["confirmed_by"] == ""
 
 
-def test_who_waits_behind_a_slow_one_is_no_news(run: Run) -> None:
+def test_a_load_that_waits_behind_a_slow_one_is_not_reported(run: Run) -> None:
     assert run.states("/queued")[:4] == ["pending", "requested", "loading", "loaded"]
     assert "LoadNode" not in run.reasons("/queued")
 
@@ -171,7 +171,7 @@ def test_a_container_that_does_not_answer_at_first_is_asked_again(run: Run) -> N
     assert run.states("/heard")[:4] == ["pending", "requested", "loading", "loaded"]
 
 
-def test_everybody_who_is_declared_is_there_once(run: Run) -> None:
+def test_each_declared_node_is_there_once(run: Run) -> None:
     there = [name for name, state in SETTLED.items() if state == "loaded"]
     of_dead_processes = ["/survivor"]
     assert run.alive_before_stop == sorted([*there, *of_dead_processes])

@@ -57,15 +57,17 @@ BREAKS: Final = {
         Timeline._exited,
         "is Cause.STOP_TIMEOUT",
         "is None",
-        lambda path: test_timeline.test_who_does_not_stop_is_deaf_and_who_does_is_fine(
-            Scene(), path
+        lambda path: (
+            test_timeline.test_a_unit_that_does_not_stop_is_reported_and_one_that_does_is_not(
+                Scene(), path
+            )
         ),
     ),
     "died": Break(
         Timeline._exited,
         "fault = Fault.DIED",
         "fault = Fault.KILLED",
-        lambda path: test_timeline.test_who_was_hit_by_the_death_of_a_container(Scene(), path),
+        lambda path: test_timeline.test_nodes_that_the_death_of_a_container_hit(Scene(), path),
     ),
     "disk_full": Break(
         recording.detect,
@@ -77,7 +79,7 @@ BREAKS: Final = {
         resources._growing,
         "[] if key in failed",
         "[] if key not in failed",
-        test_timeline.test_who_grows_without_failing,
+        test_timeline.test_a_process_that_grows_without_failing,
     ),
     "disconnected": Break(
         connections._disconnected,
@@ -231,13 +233,13 @@ BREAKS: Final = {
         resources._starving,
         "each is not hog and",
         "each is hog and",
-        lambda path: test_timeline.test_who_starved_whom(path, 60.0, 30.0, True),
+        lambda path: test_timeline.test_a_process_that_starves_others(path, 60.0, 30.0, True),
     ),
     "starved at rest": Break(
         _is_busy,
         "pressure >= _BUSY_PRESSURE",
         "pressure >= 0",
-        lambda path: test_timeline.test_who_starved_whom(path, 0.0, 99.0, False),
+        lambda path: test_timeline.test_a_process_that_starves_others(path, 0.0, 99.0, False),
     ),
     "throttled": Break(
         resources._limited,

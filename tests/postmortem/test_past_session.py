@@ -153,7 +153,9 @@ def test_an_event_of_an_earlier_version_has_no_modules(confirmed_by: str) -> Non
 
 
 @pytest.mark.parametrize("about", [(SubjectKind.NODE, "/not_a_node"), (SubjectKind.NODE, "")])
-def test_a_sample_of_nobody_is_damage(tmp_path: Path, about: tuple[SubjectKind, str]) -> None:
+def test_a_sample_of_an_unknown_process_is_damage(
+    tmp_path: Path, about: tuple[SubjectKind, str]
+) -> None:
     writer = BagWriter(tmp_path / "x.mcap")
     channel = writer.register(replace(topics.stats_topic(SubjectKind.PROCESS, "/a"), about=about))
     writer.write(channel, PROCESS_STATS.write({}), log_time=1, publish_time=1)

@@ -105,7 +105,7 @@ def test_a_load_that_failed_and_a_crash_in_a_constructor(scene: Scene, tmp_path:
     assert headline(victim, ns(0)) == what
 
 
-def test_who_was_hit_by_the_death_of_a_container(scene: Scene, tmp_path: Path) -> None:
+def test_nodes_that_the_death_of_a_container_hit(scene: Scene, tmp_path: Path) -> None:
     scene.started()
     for name in ("/a", "/b"):
         scene.node(1, name, LOADED)
@@ -158,7 +158,9 @@ def test_what_is_killed_for_its_own_sake(scene: Scene, tmp_path: Path) -> None:
     assert (finding.kind, finding.cause) == (Fault.KILLED, "it is frozen: no answer for 3 s")
 
 
-def test_who_does_not_stop_is_deaf_and_who_does_is_fine(scene: Scene, tmp_path: Path) -> None:
+def test_a_unit_that_does_not_stop_is_reported_and_one_that_does_is_not(
+    scene: Scene, tmp_path: Path
+) -> None:
     for name, signal, cause in (
         ("/deaf", 9, Cause.STOP_TIMEOUT),
         ("/good", 2, Cause.STOPPED),
@@ -312,7 +314,7 @@ def test_the_memory_of_the_container_is_not_held_against_a_node(tmp_path: Path) 
     assert finding.before == ()
 
 
-def test_who_grows_without_failing(tmp_path: Path) -> None:
+def test_a_process_that_grows_without_failing(tmp_path: Path) -> None:
     scene = Scene()
     for at in range(100):
         scene.used(at, "/leaker", memory_bytes=10**8 + at * 10**7)
@@ -328,7 +330,9 @@ def test_who_grows_without_failing(tmp_path: Path) -> None:
     ("pressure", "percent", "is_busy"),
     [(0.0, 99.0, False), (60.0, 30.0, True), (NAN, 99.0, True), (NAN, 50.0, False)],
 )
-def test_who_starved_whom(tmp_path: Path, pressure: float, percent: float, is_busy: bool) -> None:
+def test_a_process_that_starves_others(
+    tmp_path: Path, pressure: float, percent: float, is_busy: bool
+) -> None:
     scene = Scene()
     for at in range(10):
         scene.machine(at, cpu_some_avg10=pressure, cpu_percent=percent)

@@ -131,7 +131,9 @@ else:
 
 
 @pytest.mark.anyio
-async def test_who_is_kept_out_of_a_required_group_does_not_run(session: SessionGuard) -> None:
+async def test_a_process_that_cannot_enter_a_required_group_does_not_run(
+    session: SessionGuard,
+) -> None:
     for word, status in (("cgroup", 0), ("required_cgroup", 125)):
         output = Output()
         child = await spawn(
@@ -148,7 +150,9 @@ async def test_who_is_kept_out_of_a_required_group_does_not_run(session: Session
 
 
 @pytest.mark.anyio
-async def test_who_leaves_by_itself_has_time_for_that(guard: Path, tmp_path: Path) -> None:
+async def test_a_process_that_ends_with_its_channel_has_time_for_that(
+    guard: Path, tmp_path: Path
+) -> None:
     session = SessionGuard.start(guard)
     mark = tmp_path / "left"
     read_end, write_end = os.pipe()

@@ -144,7 +144,7 @@ def until_stopped(pid: int) -> None:
     os.waitid(os.P_PID, pid, os.WSTOPPED | os.WNOWAIT)
 
 
-def test_who_sleeps_wants_none(start: Callable[[str], int]) -> None:
+def test_a_sleeping_process_wants_no_processor(start: Callable[[str], int]) -> None:
     pid = start("sleeper")
     while processor_wait(pid, {"sleeper"}).wants_one:  # it has not come to its sleep yet
         os.sched_yield()

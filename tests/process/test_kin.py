@@ -168,7 +168,7 @@ asyncio.run(main())
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become another user")
-def test_who_may_not_be_killed_is_named_and_the_others_are_killed(
+def test_a_process_that_may_not_be_killed_is_named_and_the_others_are_killed(
     guard: Path,
 ) -> None:
     with tempfile.TemporaryDirectory() as folder:
@@ -230,7 +230,7 @@ async def test_a_daemon_that_cannot_be_looked_into_holds_no_stop_up(
 
 
 @pytest.mark.anyio
-async def test_whose_a_process_is_stands_there_while_another_program_is_executed(
+async def test_the_mark_of_a_process_stays_while_another_program_is_executed(
     session: SessionGuard,
 ) -> None:
     """For a moment, it has no environment."""

@@ -164,7 +164,7 @@ async def test_deaf_leftovers_are_killed_and_counted(session: SessionGuard) -> N
     assert not exists(grandchild) or not read_stat(grandchild).is_alive
 
 
-async def test_a_cancelled_stop_keeps_nobody_alive(session: SessionGuard) -> None:
+async def test_a_cancelled_stop_still_ends_the_process(session: SessionGuard) -> None:
     deaf = deaf_to("SIGINT", "SIGTERM")[-1]
     child, output = await ready([*python(FAMILY.format(extra="")), deaf], session)
     grandchild = int(await output.wait_line("ready"))
@@ -178,7 +178,7 @@ async def test_a_cancelled_stop_keeps_nobody_alive(session: SessionGuard) -> Non
     assert not exists(grandchild) or not read_stat(grandchild).is_alive
 
 
-async def test_who_waits_for_several_is_idle_after_the_end_of_the_first(
+async def test_waiting_for_several_is_idle_after_the_end_of_the_first(
     session: SessionGuard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A pidfd stays readable, so it may not stay in the loop."""

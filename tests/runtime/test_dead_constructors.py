@@ -122,7 +122,7 @@ async def test_a_reload_that_fails_is_not_repeated_meanwhile() -> None:
         ((SIGNAL, ERROR), {"max_restarts": 0}),
     ],
 )
-async def test_a_container_stays_where_that_helps_nobody(
+async def test_a_container_is_not_restarted_where_that_would_not_help(
     ends: tuple[str, ...], options: dict[str, Any]
 ) -> None:
     restarts = options.pop("max_restarts", 3)

@@ -91,7 +91,7 @@ async def test_a_debugger_may_take_any_time() -> None:
         assert sys.view.loaded == 1
 
 
-async def test_who_answers_is_left_alone_for_ever() -> None:
+async def test_a_container_that_answers_is_never_killed() -> None:
     class Slow(FakeContainer):
         def on_watch(self, query: Query) -> None:
             loop = asyncio.get_running_loop()

@@ -119,7 +119,7 @@ async def test_a_node_that_leaves_in_a_transition_is_not_waited_for() -> None:
         assert states(sys)[-1] is State.ABSENT
 
 
-async def test_a_process_and_who_helps_by_hand() -> None:
+async def test_a_managed_process_that_is_activated_by_hand() -> None:
     ros = FakeRos(refuses=3)
     config = system(process("p"))
     config = replace(

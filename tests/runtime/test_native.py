@@ -271,7 +271,7 @@ async def test_a_cancelled_run_leaves_nothing() -> None:
     assert not psutil.Process().children(recursive=True)
 
 
-async def test_who_asks_for_a_clean_up_at_the_same_time_shares_it(
+async def test_clean_ups_at_the_same_time_are_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As the containers do that one signal has ended; each look goes through all of /proc."""

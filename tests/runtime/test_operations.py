@@ -62,7 +62,7 @@ async def test_a_member_is_restarted(name: str) -> None:
         assert ProcessEventKind.RESTARTING not in sys.process_events(name)
 
 
-async def test_whoever_is_started_again_while_it_stops_is_started_when_it_has_ended() -> None:
+async def test_a_unit_that_is_started_while_it_stops_starts_when_it_has_ended() -> None:
     async with running(CONFIG, FakeLauncher()) as sys:
         await until_up(sys)
         sys.operated.stop("/c", "first")
@@ -73,7 +73,7 @@ async def test_whoever_is_started_again_while_it_stops_is_started_when_it_has_en
         await sys.until_loaded(3)
 
 
-async def test_whoever_is_stopped_before_its_turn_never_starts() -> None:
+async def test_a_unit_that_is_stopped_before_its_turn_never_starts() -> None:
     class Mute(FakeContainer):
         def start(self) -> None:
             pass
@@ -97,7 +97,7 @@ async def test_whoever_is_stopped_before_its_turn_never_starts() -> None:
 
 
 @pytest.mark.parametrize("name", ["/c", "/p"])
-async def test_whoever_is_stopped_while_something_of_its_last_process_is_left_comes_to_rest(
+async def test_a_unit_that_is_stopped_while_its_last_process_ends_comes_to_rest(
     name: str,
 ) -> None:
     async with running(CONFIG, FakeLauncher()) as sys:
@@ -114,7 +114,7 @@ async def test_whoever_is_stopped_while_something_of_its_last_process_is_left_co
         await sys.until(lambda: len(pids(sys.launcher)[name]) == 2)
 
 
-async def test_nonsense_among_the_last_words_kills_nobody_later() -> None:
+async def test_nonsense_among_the_last_frames_kills_no_later_process() -> None:
     class DiesBabbling(FakeContainer):
         def crash(self, signal: int = 11) -> None:
             self.process.on_end = lambda: None

@@ -216,7 +216,7 @@ async def test_a_crash_that_is_followed_up_is_waited_for() -> None:
         await sys.until(lambda: STARTED in sys.process_events("/p"))
 
 
-async def test_somebody_starts_what_waits_and_stops_what_waits() -> None:
+async def test_units_that_wait_can_be_started_and_stopped() -> None:
     fakes = FakeLauncher()
     config = system(process("one"), process("two"), process("early"), container("c", "n"))
     config = rules(
@@ -341,7 +341,7 @@ async def test_they_stop_in_reverse_order() -> None:
     assert ends == ["/z", "/z", "/c", "/c", "/a", "/a"]
 
 
-async def test_who_hurries_stops_all_at_once() -> None:
+async def test_a_hurried_stop_ends_all_at_once() -> None:
     fakes = FakeLauncher(on_process=lambda started: started.deaf_to.add("SIGINT"))
     config = rules(system(process("a"), process("b")), b=on(Condition.STARTED, "/a"))
     async with running(config, fakes) as sys:

@@ -51,7 +51,7 @@ async def test_what_cannot_be_started_ends_the_system_as_well() -> None:
     assert (sys.stop.reason, sys.outcome.exit_code) == ("/p has ended", 1)
 
 
-async def test_who_stops_it_does_not_mean_the_system() -> None:
+async def test_the_stop_of_a_process_does_not_end_the_system() -> None:
     config = system(process("p", on_exit=OnExit.SHUTDOWN), process("q"))
     async with running(config, FakeLauncher()) as sys:
         await sys.until(lambda: STARTED in sys.process_events("/p"))

@@ -49,7 +49,7 @@ async def stop(sys: Running, *names: str, timeout: float = 60.0) -> Results:
     return await actions.act("stop", request, Caller(os.getpid(), 0))
 
 
-async def test_a_stop_ends_when_somebody_starts_it_again() -> None:
+async def test_a_stop_ends_when_its_unit_is_started_again() -> None:
     async with running(BEFORE, FakeLauncher()) as sys:
         await until_up(sys)
         slow(sys)

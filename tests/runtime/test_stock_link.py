@@ -183,7 +183,7 @@ async def test_a_container_that_exits_as_told_has_unloaded_nodes(in_order: bool,
     link.close()
 
 
-async def test_an_end_that_nobody_asked_for_is_no_unloading() -> None:
+async def test_an_end_that_was_not_requested_is_no_unloading() -> None:
     services = Services()
     link = await greeted(services)
     link.send(load(1, "a"))

@@ -359,7 +359,7 @@ async def test_what_it_writes_is_recorded_as_the_container_s() -> None:
     assert lines[0].pid == sys.launcher.probes[0][1].pid
 
 
-async def test_a_scratch_process_that_cannot_be_started_keeps_nobody_away() -> None:
+async def test_a_scratch_process_that_cannot_be_started_clears_its_nodes() -> None:
     fakes = FakeLauncher(makers={"/c": [Dies, FakeContainer]})
     fakes.failures["probe"] = StartError("no memory", permanent=False)
     async with running(system(container("c", "bad", "b")), fakes) as sys:
@@ -388,7 +388,7 @@ async def test_a_freeze_while_loading_counts_as_a_death() -> None:
         assert starts(sys) == 2
 
 
-async def test_a_death_without_a_load_blames_nobody() -> None:
+async def test_a_death_without_a_load_makes_no_suspect() -> None:
     async with running(system(container("c", "a")), FakeLauncher()) as sys:
         await sys.until_loaded(1)
         sys.launcher.containers["/c"][0].crash()
@@ -430,7 +430,7 @@ async def test_so_many_are_probed_at_the_same_time_and_no_more() -> None:
     assert most == 3
 
 
-async def test_nobody_is_probed_for_a_container_that_is_given_up() -> None:
+async def test_nodes_of_a_container_that_gave_up_are_not_probed() -> None:
     fakes = FakeLauncher(makers={"/c": [Dies]}, on_probe=poison)
     async with running(system(container("c", "bad", max_restarts=0)), fakes) as sys:
         await sys.until_state("/c", ContainerState.GAVE_UP)

@@ -228,7 +228,7 @@ async def test_it_is_told_to_shut_down_before_it_is_sent_signals() -> None:
     assert sys.container_states("/c")[-2:] == [ContainerState.STOPPING, ContainerState.STOPPED]
 
 
-async def test_who_has_not_said_hello_is_not_asked() -> None:
+async def test_a_container_without_a_hello_is_not_requested_to_end() -> None:
     fakes = FakeLauncher(makers={"/c": [Mute]})
     async with running(system(container("c", "a")), fakes) as sys:
         await sys.until(lambda: bool(sys.process_events("/c")))

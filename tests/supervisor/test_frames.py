@@ -94,5 +94,5 @@ def test_the_one_line_that_is_shown_is_that_of_the_user_though_abort_is_the_cont
     assert blamed_line([]) == ""
 
 
-def test_without_a_backtrace_it_is_who_it_was() -> None:
+def test_without_a_backtrace_the_signature_is_the_signal() -> None:
     assert str(signature_of("SIGKILL", [], "/box")) == "SIGKILL in /box"

@@ -62,7 +62,7 @@ def test_the_life_after_a_failure_begins_anew(
         assert states[-1] is State.ASKED
 
 
-def test_who_is_moved_by_somebody_else_is_left_there() -> None:
+def test_a_managed_node_that_another_program_moves_is_left_there() -> None:
     for goal in GOALS:
         assert next_state(State.ACTIVE, Said.IS_INACTIVE, goal) is State.INACTIVE
         assert next_state(State.INACTIVE, Said.IS_UNCONFIGURED, goal) is State.UNCONFIGURED

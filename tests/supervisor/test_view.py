@@ -158,7 +158,7 @@ def test_a_node_of_its_own_process_can_crash_while_it_is_stopped() -> None:
     assert exit_code(again, left, None) == ExitCode.OK
 
 
-def test_who_is_given_up_while_it_still_runs_stays_given_up_when_it_ends() -> None:
+def test_a_process_that_is_given_up_while_it_runs_stays_so_when_it_ends() -> None:
     def event(kind: ProcessEventKind, message: str = "") -> ProcessEvent:
         return ProcessEvent(stamp_ns=1, kind=kind, name="/p", message=message)
 

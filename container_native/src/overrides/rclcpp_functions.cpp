@@ -27,12 +27,12 @@ void play_launch::rclcpp_backend::guard_default_context(Context* context) noexce
 /// Instead of librclcpp's, for the whole program: the executable exports its symbols, so libraries
 /// of components find this one first. There are no signal handlers of rclcpp to be taken back.
 bool rclcpp::shutdown(rclcpp::Context::SharedPtr context, const std::string& reason) {
-  const rclcpp::Context::SharedPtr everybodys = rclcpp::contexts::get_global_default_context();
+  const rclcpp::Context::SharedPtr global_context = rclcpp::contexts::get_global_default_context();
   if (context == nullptr) {
-    context = everybodys;
+    context = global_context;
   }
   play_launch::Context* const shared = guarded;
-  if (context == everybodys && shared != nullptr &&
+  if (context == global_context && shared != nullptr &&
       !play_launch::detail::ContextAccess::may_shut_down(*shared, __builtin_return_address(0))) {
     return true;
   }

@@ -106,7 +106,7 @@ void bad_periods(const std::shared_ptr<Context>& context) {
   CHECK_THROWS(timer->reset(-1ns), std::invalid_argument);
 }
 
-void zero_period_starves_nobody(const std::shared_ptr<Context>& context) {
+void zero_period_starves_no_other_timer(const std::shared_ptr<Context>& context) {
   auto node = std::make_shared<Node>("zero", options_in(context));
   SingleThreadedExecutor executor;
   executor.add_node(node);
@@ -127,6 +127,6 @@ int main() {
   letting_go_ends_it(context);
   missed_periods_are_skipped(context);
   bad_periods(context);
-  zero_period_starves_nobody(context);
+  zero_period_starves_no_other_timer(context);
   return 0;
 }

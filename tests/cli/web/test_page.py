@@ -327,7 +327,7 @@ def test_it_is_accessible(session: Replay, browser: Browser) -> None:
 
 
 @needs_browser
-def test_who_may_only_look_gets_no_buttons(session: Replay, browser: Browser) -> None:
+def test_a_read_only_page_has_no_buttons(session: Replay, browser: Browser) -> None:
     browser.size(390, 800)
     with serving("--session", session.pid) as server:
         visit(browser, server)

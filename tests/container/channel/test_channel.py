@@ -276,7 +276,7 @@ async def test_another_version_in_the_hello_is_told(
     assert await asyncio.get_running_loop().sock_recv(container.socket, 1) == b""
 
 
-async def test_who_does_not_say_hello_is_refused(
+async def test_a_container_without_a_hello_is_refused(
     channel: ControlChannel, container: Container
 ) -> None:
     await container.say(event(1), THEIRS)
@@ -310,7 +310,7 @@ async def test_a_slow_reader_slows_the_container_down(
     await talking
 
 
-async def test_who_does_not_read_is_broken(
+async def test_a_container_that_does_not_read_is_broken(
     channel: ControlChannel, container: Container, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(channel_module, "MAX_OUTGOING_BYTES", 100_000)
@@ -337,7 +337,7 @@ async def test_what_the_socket_does_not_take_at_once_is_sent_later(
         assert await container.hear() == (FrameKind.CANCEL, {"unique_id": number})
 
 
-async def test_a_message_that_cannot_be_sent_harms_nobody(
+async def test_a_message_that_cannot_be_sent_affects_no_other(
     channel: ControlChannel, container: Container
 ) -> None:
     with pytest.raises(EncodeError):

@@ -301,7 +301,7 @@ def problem(source: RosSource, prefix: Path, **environ: str) -> str | None:
 
 
 @pytest.mark.parametrize("source", RosSource)
-def test_who_asks_for_none_gets_what_is_there(source: RosSource, tmp_path: Path) -> None:
+def test_without_a_choice_the_installed_one_is_used(source: RosSource, tmp_path: Path) -> None:
     assert problem(source, tmp_path) is None
     assert problem(source, tmp_path, RMW_IMPLEMENTATION="") is None
 

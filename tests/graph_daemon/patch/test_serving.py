@@ -153,7 +153,7 @@ def test_addresses_are_listed_and_looked_at_now_and_then(daemon: Daemon) -> None
     assert max(daemon.call("get_looks", call) for call in calls) <= 2
 
 
-def test_silent_and_slow_clients_keep_nobody_waiting(daemon: Daemon) -> None:
+def test_silent_and_slow_clients_delay_no_other(daemon: Daemon) -> None:
     with ExitStack() as stack:
         for sent in (b"", b"POST", request("get_count")[:-1], b"\r\n", b"POST / HTTP/1.0\r\n"):
             for _ in range(10):
@@ -164,7 +164,7 @@ def test_silent_and_slow_clients_keep_nobody_waiting(daemon: Daemon) -> None:
             assert read_answer(client) == "xxxx"
 
 
-def test_clients_that_do_not_read_keep_nobody_waiting(daemon: Daemon) -> None:
+def test_clients_that_do_not_read_delay_no_other(daemon: Daemon) -> None:
     size = 30_000_000
     with daemon.connect() as deaf:
         deaf.sendall(request("get_large", (size,)))

@@ -115,7 +115,7 @@ def generate_launch_description():
     assert not made.parent.exists()
 
 
-def test_the_evaluation_ends_with_who_asked(prefix: Prefix, tmp_path: Path) -> None:
+def test_the_evaluation_ends_with_its_parent(prefix: Prefix, tmp_path: Path) -> None:
     pid_file = tmp_path / "pid"
     path = prefix.file(
         "a.launch.py",

@@ -163,7 +163,7 @@ def test_a_mark_opens_its_backtrace_and_the_log(opened: Browser) -> None:
     assert here == opened.run(f"clock({mark['at']})")
 
 
-def test_what_nobody_put_a_name_to_may_be_the_nodes(browser: Browser, hostile_page: Path) -> None:
+def test_lines_without_a_name_may_be_of_its_nodes(browser: Browser, hostile_page: Path) -> None:
     browser.open(hostile_page)
     browser.run(
         "showFailure(facts.marks.findIndex((mark) => facts.rows[mark.row].kind === 'node'))"
@@ -309,7 +309,7 @@ def test_pointing_at_a_row_singles_its_node_out(opened: Browser) -> None:
     assert opened.run("document.querySelector('#plots canvas').toDataURL()") != before
 
 
-def test_it_is_dark_for_who_likes_that(opened: Browser) -> None:
+def test_it_is_dark_where_the_browser_prefers_that(opened: Browser) -> None:
     light = opened.run("getComputedStyle(document.body).backgroundColor")
     picture = opened.run("byId('timeline').toDataURL()")
     opened.prefer("dark")

@@ -389,7 +389,7 @@ def test_without_groups_nothing_is_read(monkeypatch: pytest.MonkeyPatch) -> None
     assert len(looks) == 3
 
 
-def test_who_enters_its_group_late_is_found(session: Group) -> None:
+def test_a_process_that_enters_its_group_late_is_found(session: Group) -> None:
     clock = Clock()
     sampler = GroupSampler(clock)
     with asleep() as pid:

@@ -98,7 +98,7 @@ def test_a_sample_that_fails_is_reported_once_and_others_follow(
     assert "Too many open files: '/proc/meminfo'" in record.getMessage()
 
 
-def test_a_process_that_does_not_answer_keeps_nobody_waiting(
+def test_a_process_that_does_not_answer_delays_no_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     answer, asked = threading.Event(), threading.Event()

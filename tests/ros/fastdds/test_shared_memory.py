@@ -174,7 +174,7 @@ def killed_between_messages(name: str, number: int) -> None:
         memory.close()
 
 
-async def test_nobody_who_comes_or_goes_is_disturbed(session: SessionGuard) -> None:
+async def test_participants_that_start_and_end_are_not_disturbed(session: SessionGuard) -> None:
     stop = threading.Event()
     reports: list[SweepReport] = []
 
@@ -203,7 +203,7 @@ async def test_nobody_who_comes_or_goes_is_disturbed(session: SessionGuard) -> N
     await sweep_shared_memory()
 
 
-async def test_a_port_without_a_lock_lives_while_somebody_maps_it(
+async def test_a_port_without_a_lock_lives_while_a_process_maps_it(
     session: SessionGuard,
     loose_names: tuple[str, str],
 ) -> None:
@@ -225,7 +225,7 @@ async def test_a_port_without_a_lock_lives_while_somebody_maps_it(
     assert not {port, f"sem.{port}_mutex"} & files()
 
 
-async def test_a_segment_without_a_lock_lives_while_somebody_maps_it(
+async def test_a_segment_without_a_lock_lives_while_a_process_maps_it(
     loose_names: tuple[str, str],
 ) -> None:
     segment, _ = loose_names
@@ -236,7 +236,7 @@ async def test_a_segment_without_a_lock_lives_while_somebody_maps_it(
     assert (await sweep_shared_memory()).removed.count(segment) == 1
 
 
-async def test_whoever_holds_a_lock_keeps_everything(loose_names: tuple[str, str]) -> None:
+async def test_a_lock_that_is_held_keeps_everything(loose_names: tuple[str, str]) -> None:
     for name in loose_names:
         owned = {name, f"{name}_el"}
         for part in owned:

@@ -135,7 +135,7 @@ def test_fast_dds_of_the_wheels_gets_it() -> None:
     ],
     ids=["supervisor", "daemon"],
 )
-def test_who_has_a_participant_has_it(participant: str) -> None:
+def test_a_process_with_a_participant_has_the_library_for_waits(participant: str) -> None:
     loaded = "print('libfastdds_waits.so' in open('/proc/self/maps').read())"
     assert python(f"{participant}; {loaded}; own.close()")[-1] == "True"
 
