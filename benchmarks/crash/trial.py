@@ -39,7 +39,7 @@ from play_launch.supervisor.view import SystemView
 
 VICTIM: Final = "/victim"
 NEIGHBOURS: Final = ("/left", "/right")
-_EVERYBODY: Final = {VICTIM, *NEIGHBOURS}
+_ALL_NODES: Final = {VICTIM, *NEIGHBOURS}
 # Where the components leave their figures.
 _LIVES, _VICTIM_PID, _DIED_AT = 0, 1, 2
 _METRONOMES: Final = (8, 16)
@@ -181,7 +181,7 @@ class Trial:
         return (
             self._case.kind.is_crash
             and self.tally.crashes >= self._case.count
-            and self._loaded >= _EVERYBODY
+            and self._loaded >= _ALL_NODES
             and self._silence(now) < _SILENT * SECOND
         )
 
@@ -195,8 +195,8 @@ class Trial:
             if name == VICTIM:
                 self.tally.victim_loaded(now)
                 self._victim_pid = event.pid
-            self.tally.node_loaded(name, _EVERYBODY, now)
-            if self._loaded >= _EVERYBODY:
+            self.tally.node_loaded(name, _ALL_NODES, now)
+            if self._loaded >= _ALL_NODES:
                 self._go_on(now)
         elif kind in {ComponentEventKind.CRASHED, ComponentEventKind.LOAD_FAILED}:
             if name == VICTIM:
