@@ -221,7 +221,7 @@ _ACTIONS: Final = (
 )
 """What is done when a change needs it; the first that one of them needs."""
 
-_NO_UNITS: Final[Mapping[str, str]] = MappingProxyType({})
+_NONE: Final[Mapping[str, str]] = MappingProxyType({})
 _IDENTITY: Final = {"key", "full_name", "name", "namespace", "line"}
 _PARAMETERS: Final = "parameters"
 _SAFE: Final = {
@@ -253,9 +253,7 @@ _NO_DIFFERENCE: Final = {
 """Keys that are not compared."""
 
 
-def plan(
-    running: ReplayConfig, target: ReplayConfig, absent: Mapping[str, str] = _NO_UNITS
-) -> Plan:
+def plan(running: ReplayConfig, target: ReplayConfig, absent: Mapping[str, str] = _NONE) -> Plan:
     """Compare the running system with what it is to become.
 
     Args:
