@@ -1,202 +1,193 @@
-"""``play-launch node | topic | service``: the ROS graph, from the graph daemon.
-
-They import neither msgspec nor rclpy, which takes longer than the answer. Options and output are
-those of ``ros2 node list`` and the like.
-"""
+"""``play-launch graph check``: what does not connect in the ROS graph, and what has to change."""
 
 from __future__ import annotations
 
 import json
-from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Final
+import time
+from collections import Counter
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 import typer
 
 from play_launch import ExitCode
 from play_launch.cli import options
-from play_launch.cli.output import fail, note, printable, say, warn
-from play_launch.graph_daemon.contract import daemon_address
-from play_launch.graph_daemon.graph_client import (
-    DEFAULT_TIMEOUT,
-    GraphClient,
-    Named,
-    NoDaemonError,
-    RemoteError,
-)
+from play_launch.cli.node import CallTimeout, NoStart, query
+from play_launch.cli.output import note, printable, say, table
+from play_launch.config.text import counted, listed
+from play_launch.graph_daemon.contract import STATUS_METHOD
+from play_launch.graph_daemon.graph_client import DEFAULT_TIMEOUT
+from play_launch.supervisor.endpoints import connections, similar_topic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from play_launch.graph_daemon.contract import DaemonAddress
+    from play_launch.graph_daemon.graph_client import GraphClient, NodeName
+    from play_launch.supervisor.endpoints import Endpoint
 
-_HIDDEN: Final = "_"
-_SECTIONS: Final = (
-    ("Subscribers", "subscribers", "get_subscriber_names_and_types_by_node"),
-    ("Publishers", "publishers", "get_publisher_names_and_types_by_node"),
-    ("Service Servers", "service_servers", "get_service_names_and_types_by_node"),
-    ("Service Clients", "service_clients", "get_client_names_and_types_by_node"),
-    ("Action Servers", "action_servers", "get_action_server_names_and_types_by_node"),
-    ("Action Clients", "action_clients", "get_action_client_names_and_types_by_node"),
-)
-"""Title, name in JSON and the daemon's method, in the order of ``ros2 node info``."""
+_MANY: Final = 8
+"""Nodes that are listed."""
+_MOST_GUESSES: Final = 50
+"""Topics without publisher for which similar ones are searched."""
+_QUIET: Final = 1.0
+"""Seconds without a change after which the graph counts as complete."""
+_PAUSE: Final = 0.1
+_ACTION: Final = "/_action/"
 
-
-node = typer.Typer(help="List nodes; show one.", no_args_is_help=True, **options.PLAIN)
-topic = typer.Typer(help="List topics.", no_args_is_help=True, **options.PLAIN)
-service = typer.Typer(help="List services.", no_args_is_help=True, **options.PLAIN)
-
-CallTimeout = Annotated[
-    float,
-    options.time(
-        "Limit for an answer of the daemon.", "--call-timeout", default=f"{DEFAULT_TIMEOUT:g}s"
-    ),
-]
-NoStart = Annotated[bool, typer.Option("--no-start", help="Do not start a daemon if none runs.")]
+graph = typer.Typer(help="Check the connections.", no_args_is_help=True, **options.PLAIN)
+graph.callback()(lambda: None)  # keeps the name of the single subcommand
 
 
-@node.command("list")
-def node_list(
-    count: Annotated[
-        bool, typer.Option("--count-nodes", "-c", help="Print their number only.")
+class GraphProblem(NamedTuple):
+    """One topic, service or node at which something does not connect."""
+
+    kind: str
+    """As of the findings of `explain`; ``unsubscribed`` is none."""
+    name: str
+    text: str
+    sides: tuple[tuple[str, ...], ...]
+    """Nodes that are concerned; with a mismatch the publishers, then the subscribers."""
+
+
+@graph.command("check")
+def graph_check(  # noqa: PLR0917 - options, by name
+    ignore: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Leave out what has this name, or concerns nodes of such names only: "
+            "'/debug/*'. Repeatable.",
+        ),
+    ] = None,
+    with_all: Annotated[
+        bool, typer.Option("--all", "-a", help="Print topics that nothing subscribes to as well.")
     ] = False,
-    with_hidden: Annotated[bool, typer.Option("--all", "-a", help="Include hidden ones.")] = False,
+    wait: Annotated[
+        float,
+        typer.Option(
+            "--wait",
+            parser=options.duration_or_zero,
+            metavar="TIME",
+            help="Wait until nothing has changed for a second, at most this long. Default: 10s.",
+            show_default=False,
+        ),
+    ] = 10.0,
     call_timeout: CallTimeout = DEFAULT_TIMEOUT,
     no_start: NoStart = False,
     as_json: options.Json = False,
-) -> None:
-    """List the nodes."""
+) -> int:
+    """Find what does not connect in the ROS graph.
 
-    def show(client: GraphClient) -> None:
-        # A node is hidden by its own name, a topic or service by any part of it: so does ros2cli.
-        nodes = [each for each in client.nodes() if with_hidden or not each.is_hidden]
-        names = [each.full_name for each in nodes]
-        if as_json and not count:
-            say(json.dumps([{**each._asdict(), "full_name": each.full_name} for each in nodes]))
-        else:
-            _print_lines([str(len(names))] if count else names)
-        if twice := sorted({name for name, after in pairwise(names) if name == after}):
-            names_twice = _one_line(", ".join(twice))
-            warn(f"several nodes have the same name, which ROS does not allow: {names_twice}")
+    Incompatible QoS with the policy and the side that has to change, topics with several types,
+    subscriptions without a publisher with the topic that may be meant, services and actions without
+    a server, and nodes of one name. Exits with 1 if there is any of these.
+    """
+    problems: list[GraphProblem] = []
+    seen: dict[str, Any] = {}
 
-    query(show, call_timeout, no_start=no_start)
+    def check(client: GraphClient) -> None:
+        seen["quiet"] = _wait_until_quiet(client, wait)
+        nodes, endpoints = client.nodes(), client.endpoints()
+        found = [*of_topics(endpoints), *of_services(client, nodes), *of_names(nodes)]
+        problems.extend(each for each in found if not _is_ignored(each, ignore or ()))
+        seen["topics"] = len({each.topic for each in endpoints})
+        seen["nodes"] = len({each.full_name for each in nodes if not each.is_hidden})
 
-
-@node.command("info")
-def node_info(
-    name: Annotated[str, options.argument("NODE", "Full name, for example /sensing/camera.")],
-    with_hidden: Annotated[
-        bool, typer.Option("--include-hidden", help="Include hidden names.")
-    ] = False,
-    call_timeout: CallTimeout = DEFAULT_TIMEOUT,
-    no_start: NoStart = False,
-    as_json: options.Json = False,
-) -> None:
-    """Show publishers, subscriptions, services and actions of a node."""
-    wanted = name if name.startswith("/") else f"/{name}"
-
-    def show(client: GraphClient) -> None:
-        same = [each for each in client.nodes() if each.full_name == wanted]
-        if not same:
-            fail(f"there is no node {wanted}", ExitCode.NODE_FAILED)
-        if len(same) > 1:
-            warn(f"{len(same)} nodes have the name {wanted}; this is one of them")
-        sections: dict[str, list[Named]] = {}
-        try:
-            for _, key, method in _SECTIONS:
-                found = client.names_and_types(method, same[0].name, same[0].namespace)
-                sections[key] = _visible(found, with_hidden=with_hidden)
-        except RemoteError as error:
-            if same[0] in client.nodes():
-                raise
-            fail(f"the node {wanted} has exited meanwhile ({error.text})", ExitCode.NODE_FAILED)
-        if as_json:
-            values = {key: [each._asdict() for each in found] for key, found in sections.items()}
-            say(json.dumps({**same[0]._asdict(), "full_name": wanted, **values}))
-            return
-        _print_lines([wanted])
-        for title, key, _ in _SECTIONS:
-            lines = [f"    {entry.name}: {', '.join(entry.types)}" for entry in sections[key]]
-            _print_lines([f"  {title}:", *lines])
-
-    query(show, call_timeout, no_start=no_start)
+    query(check, call_timeout, no_start=no_start)
+    failures = [each for each in problems if each.kind != "unsubscribed"]
+    if as_json:
+        say(json.dumps({**seen, "problems": [each._asdict() for each in problems]}))
+    else:
+        _print(problems if with_all else failures)
+        unused = len(problems) - len(failures)
+        counts = f"{counted(seen['topics'], 'topic')}, {counted(seen['nodes'], 'node')}"
+        more = f", {counted(unused, 'topic')} without subscription" if unused else ""
+        hint = " (--all lists them)" if unused and not with_all else ""
+        say(f"{counts}: {counted(len(failures), 'problem')}{more}{hint}")
+        if not seen["quiet"]:
+            note("the graph was still changing; --wait TIME waits longer")
+    return ExitCode.NODE_FAILED if failures else ExitCode.OK
 
 
-def _add_list(group: typer.Typer, noun: str) -> None:
-    """Add ``list`` to ``topic`` or ``service``."""
-
-    def show_list(
-        *,
-        count: bool = False,
-        show_types: Annotated[
-            bool, typer.Option("--show-types", "-t", help="Print types as well.")
-        ] = False,
-        with_hidden: bool = False,
-        call_timeout: CallTimeout = DEFAULT_TIMEOUT,
-        no_start: NoStart = False,
-        as_json: options.Json = False,
-    ) -> None:
-        def show(client: GraphClient) -> None:
-            found = client.names_and_types(f"get_{noun}_names_and_types")
-            shown = _visible(found, with_hidden=with_hidden)
-            if count:
-                _print_lines([str(len(shown))])
-            elif as_json:
-                say(json.dumps([entry._asdict() for entry in shown]))
-            elif show_types:
-                _print_lines(f"{entry.name} [{', '.join(entry.types)}]" for entry in shown)
-            else:
-                _print_lines(entry.name for entry in shown)
-
-        query(show, call_timeout, no_start=no_start)
-
-    # Annotations that use local names cannot be evaluated.
-    hidden = typer.Option("--all", "-a", f"--include-hidden-{noun}s", help="Include hidden ones.")
-    only_count = typer.Option(f"--count-{noun}s", "-c", help="Print their number only.")
-    show_list.__annotations__["with_hidden"] = Annotated[bool, hidden]
-    show_list.__annotations__["count"] = Annotated[bool, only_count]
-    group.command("list", help=f"List the {noun}s.")(show_list)
-    group.callback()(lambda: None)  # keeps the name of a single subcommand on the command line
+def of_topics(endpoints: Sequence[Endpoint]) -> Iterator[GraphProblem]:
+    """Compare publishers and subscriptions."""
+    guesses = 0
+    for each in sorted(connections(endpoints)):
+        sides = each.publishers, each.subscribers
+        for mismatch in each.mismatches:
+            is_type = mismatch.policy == "type"
+            kind = "incompatible_type" if is_type else "incompatible_qos"
+            between = mismatch.publishers, mismatch.subscribers
+            yield GraphProblem(kind, each.topic, str(mismatch), between)
+        if each.subscribers and not each.has_publisher:
+            meant = ""
+            if guesses < _MOST_GUESSES:
+                guesses += 1
+                meant = _meant(each.topic, endpoints)
+            kind = "misnamed_topic" if meant else "unpublished"
+            text = f"no publisher; {listed(each.subscribers, _MANY)} subscribes to it{meant}"
+            yield GraphProblem(kind, each.topic, text, sides[1:])
+        if each.publishers and not each.subscribers:
+            text = f"no subscription; {listed(each.publishers, _MANY)} publishes it"
+            yield GraphProblem("unsubscribed", each.topic, text, sides[:1])
 
 
-_add_list(topic, "topic")
-_add_list(service, "service")
+def _meant(topic: str, endpoints: Sequence[Endpoint]) -> str:
+    for unused in (True, False):
+        if meant := similar_topic(topic, endpoints, unused=unused):
+            publishers = {each.node for each in endpoints if each.topic == meant}
+            return f"; did you mean {meant} of {listed(sorted(publishers), _MANY)}?"
+    return ""
 
 
-def query(show: Callable[[GraphClient], None], call_timeout: float, *, no_start: bool) -> None:
-    """Query the daemon, which is started if none runs, and print."""
-    address = daemon_address()
-    client = GraphClient(address, call_timeout)
-    try:
-        show(client)
-    except NoDaemonError as error:
-        if no_start:
-            fail(f"{error}; start one with 'play-launch daemon start'", ExitCode.NODE_FAILED)
-        _start(address)
-        show(client)
+def of_services(client: GraphClient, nodes: Iterable[NodeName]) -> Iterator[GraphProblem]:
+    """Find services and actions that have clients and no server."""
+    unserved = {name for name, _ in client.unserved_services()}
+    if not unserved:
+        return
+    clients: dict[str, set[str]] = {}
+    for node in nodes:
+        if node.is_hidden:
+            continue
+        found = client.names_and_types("get_client_names_and_types_by_node", *node)
+        for service in unserved.intersection(name for name, _ in found):
+            # An action is three services.
+            clients.setdefault(service.partition(_ACTION)[0], set()).add(node.full_name)
+    actions = {name.partition(_ACTION)[0] for name in unserved if _ACTION in name}
+    for name, every in sorted(clients.items()):
+        kind = "action" if name in actions else "service"
+        text = f"no server; {listed(sorted(every), _MANY)} has a client of this {kind}"
+        yield GraphProblem("unserved", name, text, (tuple(sorted(every)),))
 
 
-def _start(address: DaemonAddress) -> None:
-    # Takes longer to import than all the rest, and is needed once.
-    from play_launch.graph_daemon.start_stop import start_daemon  # noqa: PLC0415
-
-    note(f"starting the graph daemon of ROS domain {address.domain}")
-    for message in start_daemon(address, notify=warn).messages:
-        warn(message)
+def of_names(nodes: Iterable[NodeName]) -> Iterator[GraphProblem]:
+    """Find nodes that have the same name."""
+    for name, count in sorted(Counter(each.full_name for each in nodes).items()):
+        if count > 1:
+            yield GraphProblem("same_name", name, f"{count} nodes have this name", ((name,),))
 
 
-def _visible(found: list[Named], *, with_hidden: bool) -> list[Named]:
-    return [
-        each
-        for each in found
-        if with_hidden or not any(part.startswith(_HIDDEN) for part in each.name.split("/"))
-    ]
+def _is_ignored(problem: GraphProblem, patterns: Sequence[str]) -> bool:
+    def matches(name: str) -> bool:
+        return any(fnmatchcase(name, pattern) for pattern in patterns)
+
+    return matches(problem.name) or any(all(map(matches, side)) for side in problem.sides)
 
 
-def _print_lines(lines: Iterable[str]) -> None:
-    if text := "\n".join(map(_one_line, lines)):
-        say(text)
+def _wait_until_quiet(client: GraphClient, limit: float) -> bool:
+    """Wait until nothing changes any more; False if it still does."""
+    deadline = time.monotonic() + limit
+    while True:
+        status = json.loads(client.call(STATUS_METHOD))
+        if status["settled"] and status["unchanged_for"] >= _QUIET:
+            return True
+        if time.monotonic() + _PAUSE > deadline:
+            return False
+        time.sleep(_PAUSE)
 
 
-def _one_line(text: str) -> str:
-    """Make a line of what holds names: those come from any program in the network."""
-    return printable(text.replace("\n", " "))
+def _print(problems: Sequence[GraphProblem]) -> None:
+    if problems:
+        rows = [(each.kind.replace("_", " "), each.name, each.text) for each in problems]
+        lines = table(("PROBLEM", "NAME", "WHAT"), rows, words=2)
+        say("\n".join(printable(line.replace("\n", " ")) for line in lines))

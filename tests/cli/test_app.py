@@ -30,7 +30,7 @@ _READERS = ("inspect", "report", "explain", "crashes", "compare", "rerun", "reco
 USED_BY = (
     dict.fromkeys((*_READERS, "layout"), ("play_launch.cli.info",))
     | dict.fromkeys(("inspect", "report"), ("play_launch.cli.info", "play_launch.cli.explain"))
-    | {"graph": ("play_launch.cli.graph",)}
+    | {"graph": ("play_launch.cli.node",)}
 )
 """Modules of other commands that a command uses."""
 BAD = "version: 1\ncontainers:\n  - nmae: c\n"

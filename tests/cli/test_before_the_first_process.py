@@ -40,7 +40,7 @@ LATER = {
     "play_launch.runtime.stock_containers",
     "play_launch.cli.daemon",
     "play_launch.cli.doctor",
-    "play_launch.cli.graph",
+    "play_launch.cli.node",
     "play_launch.cli.show.summary",
     "play_launch.control.client",
     "play_launch.control.operations",

@@ -387,7 +387,7 @@ def test_a_pipe_that_another_program_made_non_blocking_takes_everything() -> Non
     reading, writing = os.pipe()
     fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
     os.set_blocking(writing, False)
-    command = [COMMAND, "manual"]
+    command = [str(COMMAND), "manual"]
     with subprocess.Popen(command, stdout=writing, stderr=subprocess.PIPE, text=True) as process:
         os.close(writing)
         until(lambda: process.poll() is not None or waiting_in(reading) >= 4096, "a full pipe")

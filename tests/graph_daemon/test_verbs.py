@@ -14,7 +14,7 @@ from xmlrpc.client import Fault, dumps, loads
 
 import pytest
 
-from play_launch.cli import graph
+from play_launch.cli import node
 from play_launch.cli.app import app
 from play_launch.graph_daemon.contract import HOST, JSON_METHOD, DaemonAddress
 
@@ -173,7 +173,7 @@ def ask(monkeypatch: pytest.MonkeyPatch) -> Iterator[Ask]:
     def run(*arguments: str, answers: dict[str, object] = ANSWERS) -> int:
         daemon = ScriptedDaemon(answering(answers))
         daemons.append(daemon)
-        monkeypatch.setattr(graph, "daemon_address", lambda: daemon.address)
+        monkeypatch.setattr(node, "daemon_address", lambda: daemon.address)
         return command_line(arguments)
 
     yield run
@@ -302,7 +302,7 @@ def test_without_a_daemon_the_fix_is_shown(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     address = free_address()
-    monkeypatch.setattr(graph, "daemon_address", lambda: address)
+    monkeypatch.setattr(node, "daemon_address", lambda: address)
     assert command_line(["node", "list", "--no-start"]) == 1
     place = f"127.0.0.1:{address.port}"
     fix = "start one with 'play-launch daemon start'"
@@ -319,7 +319,7 @@ def test_a_silent_daemon_is_reported_after_the_timeout(
         release.wait(LIMIT)
 
     with scripted(behave) as daemon:
-        monkeypatch.setattr(graph, "daemon_address", lambda: daemon.address)
+        monkeypatch.setattr(node, "daemon_address", lambda: daemon.address)
         assert command_line(["node", "list", "--call-timeout", "0.2"]) == 1
         release.set()
     assert "did not answer within 0.2 s" in capsys.readouterr().err
@@ -328,11 +328,11 @@ def test_a_silent_daemon_is_reported_after_the_timeout(
 # Runs the command on the port that is given, and says at its end what it has imported.
 COMMAND = """
 import sys
-from play_launch.cli import entry, graph
+from play_launch.cli import entry, node
 from play_launch.graph_daemon.contract import DaemonAddress
 class At(DaemonAddress):
     port = int(sys.argv.pop(1))
-graph.daemon_address = lambda: At(0)
+node.daemon_address = lambda: At(0)
 try:
     entry.main()
 finally:
