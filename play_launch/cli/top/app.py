@@ -18,8 +18,8 @@ from textual.binding import Binding, BindingType
 from textual.coordinate import Coordinate
 from textual.widgets import DataTable, Footer, Input, RichLog, Static
 
-from play_launch.cli.top import model
-from play_launch.cli.top.connection import POLL_INTERVAL, SessionLink
+from play_launch.cli import session_model as model
+from play_launch.cli.session_link import POLL_INTERVAL, SessionLink
 from play_launch.cli.top.modals import FilterPrompt, Help, Question
 from play_launch.control.protocol import OperationError
 from play_launch.control.units import Health, full_name, health, health_counts, target_of

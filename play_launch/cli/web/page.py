@@ -10,9 +10,9 @@ from fastapi import Request  # noqa: TC002 - FastAPI reads the annotation of the
 from nicegui import ui
 
 from play_launch.cli import diagnostics, expect
+from play_launch.cli import session_model as model
 from play_launch.cli.output import clock, duration, size
 from play_launch.cli.status import fields
-from play_launch.cli.top import model
 from play_launch.cli.web.admission import RIGHT, Right
 from play_launch.cli.web.commands import CommandError
 from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS, OperationError

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from play_launch.cli.top import model
-from play_launch.cli.top.connection import POLL_INTERVAL, SessionLink
+from play_launch.cli import session_model as model
+from play_launch.cli.session_link import POLL_INTERVAL, SessionLink
 from play_launch.cli.web.metrics import Scrape
 from play_launch.control.messages import UnitRow
 from play_launch.control.protocol import Code, OperationError
@@ -23,7 +23,7 @@ from play_launch.control.units import Health, health, target_of
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.cli.top.model import Confirmation
+    from play_launch.cli.session_model import Confirmation
     from play_launch.control.client import ControlClient
     from play_launch.control.units import Target
 

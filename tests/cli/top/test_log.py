@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from play_launch.cli.top.model import (
+from play_launch.cli.session_model import (
     LeastLevel,
     LogFilter,
     LogLine,

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from play_launch.cli.top.model import OPERATIONS, Confirmation, confirmation, suits
+from play_launch.cli.session_model import OPERATIONS, Confirmation, confirmation, suits
 from play_launch.control.protocol import MEMBER_ACTIONS, NODE_ACTIONS
 from tests.cli.top.rows import node, row
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.cli.top.model import (
+from play_launch.cli.session_model import (
     Order,
     cells_of,
     machine_width,

@@ -14,7 +14,7 @@ from play_launch.control.protocol import OperationError
 if TYPE_CHECKING:
     from typing import Protocol
 
-    from play_launch.cli.top.model import Confirmation
+    from play_launch.cli.session_model import Confirmation
     from play_launch.control.client import ControlClient
 
     class Screen(Protocol):

@@ -1,4 +1,4 @@
-"""Rows of the table with the operations on them, and lines of the log."""
+"""What a screen or a page shows of a session: rows with operations on them, and the log."""
 
 from __future__ import annotations
 
