@@ -137,7 +137,7 @@ def test_no_message_is_missed(crashing: Replay, listener: str) -> None:
     pattern = re.compile(rf"\[{listener}\].*I heard 'Still here: (\d+)'")
     heard = [int(found[1]) for line in lines if (found := pattern.search(line))]
     # It logs each tenth message; had it missed one, the numbers would shift.
-    assert len(heard) > 10
+    assert len(heard) > 10, lines[:200]
     assert heard == list(range(heard[0], heard[0] + 10 * len(heard), 10))
 
 
