@@ -8,6 +8,7 @@ import io
 import os
 import signal
 import sys
+from contextlib import suppress
 from typing import IO, Final
 
 OUTPUT_FAILED: Final = 2
@@ -63,9 +64,12 @@ def _prepare_standard_streams() -> None:
     """
     for number in range(3):
         try:
-            os.set_blocking(number, True)  # another program may have changed it
+            os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # the lowest free number: this one
+    for number in (1, 2):
+        with suppress(OSError):
+            os.set_blocking(number, True)  # another program may have changed it
     sys.stdin = sys.stdin or _null(0, "r")
     sys.stderr = sys.stderr or _null(2, "w")
     stdout = sys.stdout or _null(1, "w")

@@ -122,9 +122,7 @@ def not_started(step: Reduction, said: inputs.NotStarted) -> None:
     process = step.world.put(step.process(said.unit), is_present=False)
     if process.phase not in {Phase.SPAWNING, Phase.STOPPING}:
         return  # what follows was decided before
-    respawns = process.container is not None or process.config.on_exit is OnExit.RESTART
-    would_repeat = said.is_permanent and not process.restarts.streak
-    _exit(step, process, said.reason, is_permanent=would_repeat or not respawns)
+    _exit(step, process, said.reason, would_repeat=said.is_permanent)
 
 
 def greeted(step: Reduction, said: inputs.Greeted) -> None:
@@ -168,13 +166,9 @@ def exited(step: Reduction, said: inputs.Exited) -> None:
         _exit(step, process, "", is_done=True)
     elif process.hello is not None and code == CONTEXT_EXIT_CODE:
         _exit(step, process, "a node shut its ROS context down", is_done=True)
-    elif (
-        process.hello is None
-        and code in (_NEVER_RAN if is_process else PERMANENT_EXIT_CODES)
-        and not process.restarts.streak  # its program may be built anew meanwhile
-    ):
+    elif process.hello is None and code in (_NEVER_RAN if is_process else PERMANENT_EXIT_CODES):
         why = f"{because}{text}: {PERMANENT_EXIT_CODES[code]}"
-        _exit(step, process, why, is_permanent=True)
+        _exit(step, process, why, would_repeat=True)
     else:
         has_lived = is_process or process.hello is not None
         lived = step.now - process.began_at if has_lived else 0.0
@@ -219,7 +213,7 @@ def _exit(
     process: Process,
     reason: str,
     *,
-    is_permanent: bool = False,
+    would_repeat: bool = False,
     is_done: bool = False,
     lived: float = 0.0,
 ) -> None:
@@ -227,13 +221,14 @@ def _exit(
     name, outcome = process.name, process.outcome
     was_stopped = process.phase is Phase.STOPPING
     ends_all = process.config.on_exit is OnExit.SHUTDOWN and not was_stopped
-    # Another start would only be in the way of the end.
-    is_permanent = is_permanent or (ends_all and not is_done and process.container is not None)
+    # After a restart, its program may just be built anew.
+    is_final = would_repeat and not process.restarts.streak
+    is_final = is_final or (process.config.on_exit is not OnExit.RESTART and not is_done)
     done = outcome.followed_by(Sequel.SHUTDOWN) if ends_all else outcome
     gave_up = done if ends_all else outcome.followed_by(Sequel.GAVE_UP)
     if process.is_requested and is_wanted(step.world, process):
         apply(step, name, Fact.DONE, reason, outcome=outcome)  # it is started anew
-    elif process.is_fatal or was_stopped or is_permanent:
+    elif process.is_fatal or was_stopped or is_final:
         gave_up = outcome if was_stopped else gave_up
         apply(step, name, Fact.GIVE_UP, reason, outcome=gave_up)
     elif is_done:
