@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,6 @@ import pytest
 from play_launch.cli.doctor import examine, lines
 from play_launch.doctor.check_result import Severity, fail, ok, warn
 from tests.support.replay import run
-
-DOCS = Path(__file__).parents[2] / "docs" / "doctor.md"
 
 
 def doctor(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -111,9 +108,3 @@ def test_the_result_counts_what_is_lost() -> None:
     for count, words in ((0, "no warnings."), (1, "1 warning."), (2, "2 warnings.")):
         report = [ok("a", "fine"), *[warn("b", "so so", "time", "wait")] * count]
         assert [*lines(report, colour=False)][-1].endswith(words)
-
-
-def test_every_subject_is_documented() -> None:
-    documented = set(re.findall(r"^\| ([^|`]+?) \|", DOCS.read_text(), re.MULTILINE))
-    subjects = {finding.subject for finding in examine()}
-    assert subjects <= documented
