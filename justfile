@@ -8,7 +8,8 @@ _list:
 # Make .venv with an editable install; run it again after a change in C++.
 setup:
     test -x {{python}} || python3 -m venv .venv
-    {{python}} -m pip install --config-settings cmake.define.PLAY_LAUNCH_FIXTURES=ON --config-settings cmake.define.PLAY_LAUNCH_WARNINGS_ARE_ERRORS=ON ./container_native --editable '.[jazzy,test]'
+    {{python}} -m pip install 'pip>=25.1'
+    {{python}} -m pip install --config-settings cmake.define.PLAY_LAUNCH_FIXTURES=ON --config-settings cmake.define.PLAY_LAUNCH_WARNINGS_ARE_ERRORS=ON ./container_native --editable '.[jazzy,machines,parquet,top,web]' --group test
 
 # Run the demo.
 demo:

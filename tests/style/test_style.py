@@ -62,9 +62,13 @@ def test_the_site_is_built_without_warnings_and_its_links_lead_somewhere(tmp_pat
     for page in tracked("*.md"):
         if not page.startswith("docs/"):
             text = (ROOT / page).read_text("utf-8")
-            links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text)
+            links = re.findall(r"\]\(([^)#:]+)(?:#([^)]*))?\)", text)
             here = (ROOT / page).parent
-            assert not [link for link in links if not (here / link).exists()], page
+            assert not [link for link, _ in links if not (here / link).exists()], page
+            for link, place in links:
+                site = tmp_path / link.removeprefix("docs/").removesuffix(".md") / "index.html"
+                if place and site.is_file():
+                    assert f'id="{place}"' in site.read_text("utf-8"), f"{page}: {link}#{place}"
 
 
 def test_a_file_holds_one_subject() -> None:

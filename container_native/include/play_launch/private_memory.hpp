@@ -1,6 +1,6 @@
 #pragma once
 
-/// Memory that the other nodes of the container cannot write to, see docs/private-memory.md. For
+/// Memory that the other nodes of the container cannot write to, see docs/components.md. For
 /// components of either kind: nothing but the C++ library is included, and nothing is linked.
 
 #include <cstddef>
