@@ -47,7 +47,10 @@ systemd-id128 new > $root/etc/machine-id
 [ -e $2.key ] || ssh-keygen -q -t ed25519 -N "" -C "" -f $2.key
 cp $2.key $root/etc/ssh/host_key
 cp $3 $root/etc/ssh/authorized_keys
+binds=
 for folder in $4 $5; do
+  # What is on another file system than / is not in the overlay.
+  [ -e $root$folder/bin ] || binds="$binds --bind-ro=$folder"
   # The user robot runs what lies there.
   while folder=$(dirname $folder) && [ $folder != / ]; do chmod a+x $root$folder; done
 done
@@ -59,7 +62,7 @@ printf '%s\\n' 'HostKey /etc/ssh/host_key' 'UsePAM yes' 'PermitRootLogin yes' 'S
 cp $2.key.pub $2.pub
 export SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1
 exec systemd-nspawn -q -D $root --register=no --keep-unit -M $1 --hostname=$1 \
-  --network-namespace-path=/run/netns/$1 --bind-ro=$4 --bind-ro=$5 --console=pipe \
+  --network-namespace-path=/run/netns/$1 $binds --console=pipe \
   /lib/systemd/systemd systemd.unit=host.target
 """
 """Arguments: name, folder, public key, prefix and base prefix of Python."""
