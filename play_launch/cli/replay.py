@@ -172,16 +172,12 @@ def _require_log_folder(config: ReplayConfig) -> None:
 
 
 def _log_folder_problem(environ: Mapping[str, str]) -> str:
-    """Give why a process with ROS would end at its start; "" if its log files can be written.
+    """Give why a process with ROS would end at its start; "" if its log files can be written."""
+    from play_launch.container.ros import log_folder  # noqa: PLC0415
 
-    The folder is that of rcl_logging, which does not look up a home in the database of users.
-    """
-    home = environ.get("HOME", "")
-    base = environ.get("ROS_HOME") or (home and f"{home}/.ros")
-    name = environ.get("ROS_LOG_DIR") or (base and f"{base}/log")
-    if not name:
+    folder = log_folder(environ)
+    if folder is None:
         return "ROS has no folder for its log files; set HOME or ROS_LOG_DIR"
-    folder = Path(home + name[1:] if name[0] == "~" else name)
     if not folder.is_absolute():
         return ""  # it begins where the process does
     there = next(each for each in (folder, *folder.parents) if os.path.exists(each))  # noqa: PTH110 - closed ones, too

@@ -162,6 +162,16 @@ def rclpy_problem() -> str | None:
     )
 
 
+def log_folder(environ: Mapping[str, str]) -> Path | None:
+    """Return where ROS writes its log files, as rcl_logging finds it; None without HOME."""
+    home = environ.get("HOME", "")
+    base = environ.get("ROS_HOME") or (home and f"{home}/.ros")
+    name = environ.get("ROS_LOG_DIR") or (base and f"{base}/log")
+    if not name:
+        return None
+    return Path(home + name[1:] if name[0] == "~" else name)
+
+
 def _holds_rcl(prefix: Path) -> bool:
     return (prefix / _MARKER).is_file()
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
 from play_launch import UserError
+from play_launch.container.ros import log_folder
 from play_launch.graph_daemon.contract import IDLE_TIMEOUT, WARM
 from play_launch.graph_daemon.port import acquire
 from play_launch.process.preflight import (
@@ -117,8 +118,8 @@ def start_daemon(
 
 def log_path(address: DaemonAddress, environment: Mapping[str, str] = os.environ) -> Path:
     """Return the log file of a daemon in the background; the last run's is overwritten."""
-    folder = environment.get("ROS_LOG_DIR") or Path.home() / ".ros" / "log"
-    return Path(folder) / f"play_launch_daemon_{address.domain}.log"
+    folder = log_folder(environment) or Path("~/.ros/log").expanduser()
+    return folder / f"play_launch_daemon_{address.domain}.log"
 
 
 def _wait(read: int, word: str) -> bool:

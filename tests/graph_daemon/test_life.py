@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import psutil
@@ -235,6 +235,20 @@ def test_one_that_cannot_start_is_reported_with_its_reason(
     with pytest.raises(DaemonStartError, match="this rclpy is broken"):
         start_daemon(address, wait_for=LISTENING)
     assert stock_can_start(address)
+
+
+@pytest.mark.parametrize(
+    ("environment", "folder"),
+    [
+        ({"HOME": "/h"}, "/h/.ros/log"),
+        ({"HOME": "/h", "ROS_HOME": "/r"}, "/r/log"),
+        ({"HOME": "/h", "ROS_HOME": "/r", "ROS_LOG_DIR": "~/l"}, "/h/l"),
+    ],
+)
+def test_its_log_is_where_ros_writes_its_own(
+    address: DaemonAddress, environment: Mapping[str, str], folder: str
+) -> None:
+    assert log_path(address, environment).parent == Path(folder)
 
 
 def test_without_a_place_for_its_log_it_starts_all_the_same(

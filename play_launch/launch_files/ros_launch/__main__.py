@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
+from play_launch.container.ros import log_folder
 from play_launch.launch_files.records import (
     Description,
     EvaluationFailure,
@@ -165,9 +166,8 @@ def _write_no_logs(config: Any) -> None:
     """Have launch log to the screen only; its loggers make a folder in the home otherwise."""
     # The folder for all of ROS's logs, so that a configuration is the same each time that it is
     # written; the setter wants a folder that exists.
-    home = os.environ.get("ROS_HOME") or "~/.ros"
-    folder = Path(os.environ.get("ROS_LOG_DIR") or f"{home}/log").expanduser().absolute()
-    config._log_dir = str(folder)  # noqa: SLF001
+    folder = log_folder(os.environ) or Path("~/.ros/log").expanduser()
+    config._log_dir = str(folder.absolute())  # noqa: SLF001
     config.get_log_file_handler = lambda *_: logging.NullHandler()
 
 
