@@ -29,6 +29,7 @@ from play_launch.control.server import serving
 from play_launch.process.descendants import in_a_thread
 from play_launch.recording.environment import OURSELVES, package_version
 from play_launch.recording.resolved_form import resolved_form
+from play_launch.recording.topics import APPLIED, RESOLVED
 from play_launch.runtime.applying import STEP_LIMIT
 from play_launch.supervisor.plan import Plan, Result
 
@@ -283,7 +284,7 @@ def _failures(applied: Applied) -> str:
 
 def _attach(recorder: Recorder, config: ReplayConfig, number: int) -> None:
     """Attach it as ``applied/<number>/...``: as it was given, its files, and resolved."""
-    place = f"applied/{number}"
+    place = f"{APPLIED}{number}"
     yaml = "application/yaml"
     recorder.attach(f"{place}/config{config.source.suffix or '.yaml'}", yaml, config.text)
     for kind, files in (
@@ -293,4 +294,4 @@ def _attach(recorder: Recorder, config: ReplayConfig, number: int) -> None:
         for index, file in enumerate(files):
             recorder.attach(f"{place}/{kind}/{index}-{file.path.name}", yaml, file.text)
     resolved = json.dumps(resolved_form(config), ensure_ascii=False)
-    recorder.attach(f"{place}/resolved_config.json", "application/json", text_bytes(resolved))
+    recorder.attach(f"{place}/{RESOLVED}", "application/json", text_bytes(resolved))

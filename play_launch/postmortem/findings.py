@@ -93,7 +93,9 @@ class Finding(Struct, frozen=True, kw_only=True):
 
 def findings(timeline: Timeline) -> tuple[Finding, ...]:
     """Give what was wrong in a session that was read to its end, the most important first."""
-    places = declared_places(timeline.session.resolved)
+    places: dict[str, DeclaredPlace] = {}
+    for config in (timeline.session.resolved, *timeline.session.applied):
+        places |= declared_places(config)
     commands = {unit.key: unit.command for unit in timeline.units if unit.command}
     found = [
         replace(each, place=_place(each, places, commands))
@@ -116,10 +118,7 @@ def _modules() -> Iterator[Any]:
 def _place(
     finding: Finding, places: dict[str, DeclaredPlace], commands: dict[str, tuple[str, ...]]
 ) -> DeclaredPlace:
-    """Complete a place by the command that was run, and by what the configuration declared.
-
-    An `apply` may have declared something else since.
-    """
+    """Complete a place by the command that was run, and by what was declared last."""
     key, known = finding.key, finding.place
     declared = places.get(key, DeclaredPlace())
     return DeclaredPlace(

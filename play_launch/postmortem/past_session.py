@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.postmortem.events import UnreadableEventError, event_of
-from play_launch.recording.topics import METADATA_NAME, RESOLVED
+from play_launch.recording.topics import APPLIED, METADATA_NAME, RESOLVED
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator
@@ -49,8 +49,17 @@ class PastSession:
 
         It stands before the first message: it is asked for when there was one.
         """
+        return self._configuration(RESOLVED)
+
+    @property
+    def applied(self) -> list[dict[str, Any]]:
+        """The configurations that were applied, as far as it was read, in their order."""
+        names = [each for each in self.reader.attachments if each.startswith(APPLIED)]
+        return [self._configuration(each) for each in names if each.endswith(f"/{RESOLVED}")]
+
+    def _configuration(self, attachment: str) -> dict[str, Any]:
         try:
-            found = json.loads(self.reader.attachments[RESOLVED].data)
+            found = json.loads(self.reader.attachments[attachment].data)
         except (KeyError, ValueError, RecursionError):
             return {}
         return found if isinstance(found, dict) else {}

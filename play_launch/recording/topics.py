@@ -39,6 +39,8 @@ PART_METADATA: Final = "play_launch.part"
 DROPS_METADATA: Final = "play_launch.topic_drops"
 """Metadata record: number of messages of each topic that are not in the bag; absent without any."""
 RESOLVED: Final = "resolved_config.json"
+APPLIED: Final = "applied/"
+"""Begins the names of attachments of a configuration that was applied, before its number."""
 REPEATED: Final = 0
 """Sequence number of messages that repeat the latest ones of the files before; others have
 higher ones."""

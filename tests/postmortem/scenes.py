@@ -93,6 +93,8 @@ class Scene:
     """Whether events have codes; those of the first version have sentences only."""
     resolved: dict[str, Any] | None = None
     """The configuration, as far as it matters."""
+    applied: list[dict[str, Any]] = field(default_factory=list)
+    """Those that were applied later."""
 
     def parameters(self, at: float, node: str, **values: Any) -> None:
         """What a node answered when it was asked."""
@@ -291,6 +293,9 @@ class Scene:
         if self.resolved is not None:
             config = json.dumps(self.resolved).encode()
             writer.attach(topics.RESOLVED, "application/json", config, time=START)
+        for number, applied in enumerate(self.applied, 1):
+            name = f"{topics.APPLIED}{number}/{topics.RESOLVED}"
+            writer.attach(name, "application/json", json.dumps(applied).encode(), time=START)
         channels: dict[Topic, int] = {}
         messages = self.messages + [
             (event.stamp_ns, recorded.topic, recorded.data)

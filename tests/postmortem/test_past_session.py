@@ -25,10 +25,12 @@ from play_launch.supervisor.events import (
     ComponentEventKind,
     LogRecord,
     OutputLine,
+    ProcessEventKind,
     RunEvent,
     Stream,
     SubjectKind,
 )
+from tests.postmortem.scenes import Scene
 from tests.recording.test_states import (
     EVENTS,
     GRAPH_CHANGES,
@@ -178,3 +180,22 @@ def test_a_sample_of_an_unknown_process_is_damage(
 )
 def test_how_it_ended_in_a_word(signal: int, code: int, reason: str, what: str) -> None:
     assert ending(signal, code, reason) == what
+
+
+def test_what_was_applied_last_says_where_a_unit_is_declared(tmp_path: Path) -> None:
+    def declared(line: int, *names: str) -> dict[str, object]:
+        nodes = [{"full_name": each, "line": line, "file": f"{line}.yaml"} for each in names]
+        return {"nodes": nodes}
+
+    scene = Scene(
+        resolved=declared(3, "/old", "/kept"),
+        applied=[declared(5, "/kept", "/new"), declared(7, "/new")],
+    )
+    for name in ("/old", "/kept", "/new"):
+        scene.process(1, ProcessEventKind.GAVE_UP, name, message="no file")
+    found = scene.story(tmp_path).findings
+    assert {each.key: each.place.config for each in found} == {
+        "/old": "3.yaml:3",
+        "/kept": "5.yaml:5",
+        "/new": "7.yaml:7",
+    }
