@@ -38,16 +38,17 @@ class Shell(StrEnum):
 def completion(
     shell: Annotated[Shell, typer.Argument(metavar="SHELL", show_default=False)],
 ) -> None:
-    r"""Print the completion script of a shell, which is bash, zsh or fish.
+    """Print the completion script of a shell, which is bash, zsh or fish.
+
+    The file that it belongs into, so that each new shell reads it:
 
     \b
-    bash  play-launch completion bash > ~/.local/share/bash-completion/completions/play-launch
-    zsh   play-launch completion zsh > "${fpath[1]}/_play-launch"
-    fish  play-launch completion fish > ~/.config/fish/completions/play-launch.fish
+    bash  ~/.local/share/bash-completion/completions/play-launch
+    zsh   "${fpath[1]}/_play-launch"
+    fish  ~/.config/fish/completions/play-launch.fish
 
-    \b
     For this shell alone: source <(play-launch completion bash)
-    """
+    """  # noqa: D301 - typer's mark of lines that stay as they are
     from typer import completion as of_typer  # noqa: PLC0415 - not at Tab
 
     script: str = of_typer.get_completion_script(  # type: ignore[attr-defined]

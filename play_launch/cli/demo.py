@@ -39,6 +39,7 @@ def demo(  # noqa: PLR0917 - options, by name
         typer.Option(
             min=1,
             max=_MOST_MACHINES,
+            metavar="N",
             help="With 2 or 3: run it on so many hosts, which are made of network namespaces for "
             "it and removed afterwards, with the recordings of all but the first. Needs root.",
         ),

@@ -27,9 +27,9 @@ def events(  # noqa: PLR0917 - options, by name
         typer.Option(
             "--kind",
             metavar="KIND",
-            help="Only this kind: node, container, process, component, log, action, graph, "
-            "managed, output, process_sample, group_sample, system_sample; the last four are "
-            "printed only if named. May be repeated.",
+            help="Only this kind: component, process, log, node, container, graph, withdrawn, "
+            "want, action, managed, machine, expectation, recording_interrupted; or, printed only "
+            "if named: output, process_sample, group_sample, system_sample. May be repeated.",
             show_default=False,
         ),
     ] = None,

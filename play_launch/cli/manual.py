@@ -29,12 +29,12 @@ def manual(
         ),
     ] = "text",
 ) -> ExitCode:
-    r"""Print the help of all commands.
+    """Print the help of all commands.
 
     \b
     play-launch manual | less
     play-launch manual --format man > ~/.local/share/man/man1/play-launch.1
-    """
+    """  # noqa: D301 - typer's mark of lines that stay as they are
     sys.stdout.write(manual_as(form))
     return ExitCode.OK
 

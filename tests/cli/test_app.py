@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from play_launch import ExitCode
 from play_launch.cli.app import COMMANDS, app, command_of
 from play_launch.container import ros
+from play_launch.control.event_words import EVENT_TYPES
 from tests.support.replay import finished, run
 
 runner = CliRunner()
@@ -75,13 +76,18 @@ def test_no_line_of_any_help_is_cut_at_80_columns() -> None:
         for line in below_usage.splitlines():
             assert len(line) <= 80, (words, line)
             assert not re.search(r"[a-z]\.\.\.$", line), (words, line)
-        assert "default: (" not in shown.output, words
+        assert not re.search(r"default: \(|\\|range>", shown.output), words
         for name in getattr(command, "commands", ()):
             walk(command.commands[name], [*words, name])
 
     walk(None, [])
     for each in COMMANDS.values():
         walk(command_of(each), [each.name])
+
+
+def test_the_help_of_events_names_every_kind() -> None:
+    shown = runner.invoke(app, ["events", "--help"], env={"COLUMNS": "80"}).output
+    assert {*EVENT_TYPES.values()} <= {*re.findall(r"\w+", shown.partition("--kind")[2])}
 
 
 def test_the_manual_has_the_help_of_every_command() -> None:

@@ -43,11 +43,13 @@ def web(  # noqa: PLR0917 - options, by name
         str, typer.Option("--bind", metavar="ADDRESS", help="Address to listen on.")
     ] = "127.0.0.1",
     port: Annotated[
-        int, typer.Option("--port", min=0, max=65535, help="0: any that is free.")
+        int, typer.Option("--port", min=0, max=65535, metavar="PORT", help="0: any that is free.")
     ] = 8080,
     allow_control: Annotated[
         bool,
-        typer.Option("--allow-control", help="Visitors may stop, restart and reload; else look."),
+        typer.Option(
+            "--allow-control", help="Visitors may stop, restart and reload. By default they look."
+        ),
     ] = False,
     token_file: Annotated[
         Path | None,
@@ -84,7 +86,7 @@ def web(  # noqa: PLR0917 - options, by name
         ),
     ] = "",
     clients: Annotated[
-        int, typer.Option("--clients", min=1, max=1000, help="Most open pages.")
+        int, typer.Option("--clients", min=1, max=1000, metavar="N", help="Most open pages.")
     ] = 20,
 ) -> int:
     """Show a session in a browser: units, their story, the log; with --allow-control, act.
