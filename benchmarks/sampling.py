@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
 import time
 from collections.abc import Mapping
@@ -24,7 +25,6 @@ from play_launch.process.cgroups.session_groups import delegated_group
 
 RATE = 0.001
 """Of the talkers, in Hz: they publish nothing while they are measured."""
-LOADING = "composable_node_loading:\n"
 
 
 def cpu_seconds(pid: int) -> float:
@@ -62,10 +62,11 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
 
-    text = configuration(shares(options.nodes, options.containers), options.type)
-    text = text.replace("rate: 1.0", f"rate: {RATE}")
-    with_groups = text.replace(LOADING, f"{LOADING}  cgroups: {{enabled: true}}\n")
-    assert with_groups != text
+    counts = shares(options.nodes, options.containers)
+    text, with_groups = (
+        configuration(counts, options.type, more).replace("rate: 1.0", f"rate: {RATE}")
+        for more in ("", ", cgroups: {enabled: true}")
+    )
     ways = {
         "sampled": (text, "1 s"),
         "sampled, with groups": (with_groups, "1 s"),
@@ -74,7 +75,7 @@ def main() -> None:
     try:
         delegated_group()
     except GroupError as error:
-        print(f"sampled, with groups: not measured, {error}")
+        print(f"sampled, with groups: not measured, {error}", file=sys.stderr)
         del ways["sampled, with groups"]
     figures: dict[str, list[Mapping[str, float]]] = {name: [] for name in ways}
     with tempfile.TemporaryDirectory() as folder:

@@ -84,6 +84,13 @@ def test_several_machines_lose_no_line_and_no_event() -> None:
         assert wrong == 0
 
 
+def test_a_system_at_rest_is_sampled() -> None:
+    system = ("--runs=1", "--seconds=1", "--settle=0", "--containers=1", "--nodes=2")
+    found = json.loads(run("sampling", *system, "--json"))
+    assert {"sampled", "not sampled"} <= found.keys()
+    assert all(len(runs) == 1 for runs in found.values())
+
+
 def test_measured_topics_are_as_expected() -> None:
     found = json.loads(run("expectations", "--topics=2", "--rate=20", "--seconds=1", "--json"))
     assert (found["with"]["met"], found["without"]["met"]) == (2, 0)
