@@ -180,7 +180,9 @@ class _Commands(TyperGroup):
             if message.startswith("Usage: "):  # the help, where a command is missing
                 note(message)
                 sys.exit(error.exit_code)
-            command = error.ctx.command_path if error.ctx else "play-launch"
+            # An option without its value has no context: its command is the first word.
+            verb = [each for each in sys.argv[1:2] if each in COMMANDS]
+            command = error.ctx.command_path if error.ctx else " ".join(["play-launch", *verb])
             fail(f"{message.rstrip('.')}; see '{command} --help'", error.exit_code)
         sys.exit(code or 0)
 

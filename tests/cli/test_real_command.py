@@ -29,6 +29,13 @@ containers:
 """
 
 
+def test_a_mistake_leads_to_the_help_of_its_command() -> None:
+    for words in (["inspect", "--around"], ["inspect", "--frobnicate"], ["compare", "a"]):
+        done = run(*words)
+        assert done.returncode == 2
+        assert done.stderr.endswith(f"see 'play-launch {words[0]} --help'\n"), done.stderr
+
+
 def test_nodes_load_talk_stop_and_are_recorded(tmp_path: Path) -> None:
     config = tmp_path / "real.yaml"
     config.write_text(CONFIG, encoding="utf-8")
