@@ -268,6 +268,7 @@ def test_what_is_wrong_with_a_machine_is_said_before_anything_starts(
     assert not supervisors(net, 2)
 
 
+@needs_hosts
 def test_a_service_is_up_when_all_machines_are(
     net: Hosts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
