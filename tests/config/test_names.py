@@ -35,7 +35,7 @@ def test_accepted_namespaces_are_namespaces_to_ros(namespace: str) -> None:
     assert validate_namespace(absolute)
 
 
-@given(TOKENS | LENGTHS)
+@given(TOKENS | LENGTHS | st.text("aZ_0/", max_size=4).map("/{}".format))
 def test_accepted_topics_are_topics_to_ros(topic: str) -> None:
     try:
         check_topic(topic)
