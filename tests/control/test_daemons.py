@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from play_launch.control.registration import LINKS
-from tests.support.replay import Replay, alive, replaying, run
+from tests.support.replay import Replay, alive, named, replaying, run
 from tests.support.waiting import until
 
 SYSTEM = """
@@ -25,7 +25,7 @@ def asked(*arguments: str) -> str:
 
 def sleeping(replay: Replay) -> list[int]:
     """Return the pids of the session's sleep processes, whatever their parent is."""
-    return [each.pid for each in alive(replay.descendants()) if each.name() == "sleep"]
+    return [each.pid for each in named(alive(replay.descendants()), "sleep")]
 
 
 def test_a_daemon_is_stopped_with_the_process_that_started_it(

@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from unittest.mock import ANY
 
-import psutil
 import pytest
 
 from play_launch.cli.expect import learned
@@ -17,7 +16,7 @@ from play_launch.config.load import load_config
 from play_launch.control.protocol import OperationError
 from play_launch.control.sessions import connect
 from play_launch.supervisor.expectations import Measured
-from tests.support.replay import replaying, run
+from tests.support.replay import named, replaying, run
 from tests.support.scenes import node, written
 from tests.support.waiting import until
 
@@ -49,11 +48,7 @@ def test_a_topic_is_measured_reported_and_waited_for(tmp_path: Path) -> None:
         assert (row["publishers"], row["type"]) == (1, "std_msgs/msg/String")
         assert 5 <= row["rate"] <= 20
 
-        (recorder,) = [
-            each
-            for each in psutil.Process(replay.pid).children(recursive=True)
-            if each.name() == "topic_recorder"
-        ]
+        (recorder,) = named(replay.descendants(), "topic_recorder")
         recorder.suspend()
         until(lambda: "not measured for" in replay.ask("expect", code=None).stdout, "silence")
         recorder.kill()
@@ -96,9 +91,7 @@ def test_what_measures_may_die(tmp_path: Path) -> None:
     config = written(tmp_path, expect=EXPECT, containers=containers)
     with replaying(config, tmp_path / "logs") as replay:
         replay.until(event="expectation", is_met=True)
-        (recorder,) = [
-            each for each in replay.descendants() if each.name().startswith("topic_recorder")
-        ]
+        (recorder,) = named(replay.descendants(), "topic_recorder")
         os.kill(recorder.pid, signal.SIGKILL)
         replay.read_until(
             lambda event: "topic_recorder" in event.get("message", ""), "the death of the recorder"

@@ -21,7 +21,7 @@ from rosbags.highlevel import AnyReader
 
 from play_launch.ros.fastdds.shared_memory import SHARED_MEMORY, sweep
 from tests.process.test_guard import ESCAPES, escaping
-from tests.support.replay import COMMAND, Replay, alive, replaying
+from tests.support.replay import COMMAND, Replay, alive, named, replaying
 from tests.support.scenes import container, node, written
 from tests.support.waiting import until
 
@@ -244,7 +244,7 @@ def test_none_gets_away_and_no_line_is_lost_uncounted(tmp_path: Path) -> None:
         until(lambda: all(mark.exists() for mark in marks), "all of them")
         everything = psutil.Process(shown.process.pid).children(recursive=True)
         # Of jobs of a shell, a session of its own, and a daemon.
-        assert [each.name() for each in everything].count("sleep") >= 5
+        assert len(named(everything, "sleep")) >= 5
         shown.interrupt()
         code, said = shown.end()
         assert not alive(everything)

@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -149,6 +149,18 @@ class Replay:
             return psutil.Process(self.pid).children(recursive=True)
         except psutil.NoSuchProcess:
             return []
+
+
+def named(processes: Iterable[psutil.Process], name: str) -> list[psutil.Process]:
+    """Those whose name begins so, without what has ended since they were listed."""
+
+    def begins(process: psutil.Process) -> bool:
+        try:
+            return process.name().startswith(name)
+        except psutil.NoSuchProcess:
+            return False
+
+    return [each for each in processes if begins(each)]
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from tests.recording.topic_recorder.recording import (
     recording,
     until,
 )
-from tests.support.replay import COMMAND, Replay, alive, replaying
+from tests.support.replay import COMMAND, Replay, alive, named, replaying
 from tests.support.ros import Probe
 
 HELD = "{before_crash: {topics: [/held], seconds: 60 s, megabytes: 8}}"
@@ -159,7 +159,7 @@ def test_a_crash_writes_what_was_held(tmp_path: Path) -> None:
     with replaying(config, tmp_path / "log") as replay:
         replay.read_until_states(dict.fromkeys(("/talker", "/camera", "/unlucky"), "loaded"))
         wait_for_the_recorder()
-        (unlucky,) = [each for each in replay.descendants() if each.name() == "unlucky"]
+        (unlucky,) = named(replay.descendants(), "unlucky")
         unlucky.send_signal(signal.SIGSEGV)
         replay.read_until(says_so, "a line about what was held")
         replay.process.send_signal(signal.SIGINT)
@@ -198,7 +198,7 @@ def test_the_recorder_ends_with_a_supervisor_that_is_killed(tmp_path: Path) -> N
         with Probe("listener") as probe:  # the last quarter of a second may be lost
             probe.collect(String, "/chatter", 10)
         everything = replay.descendants()
-        assert "topic_recorder" in {each.name() for each in everything}
+        assert named(everything, "topic_recorder")
         replay.process.kill()
         replay.process.wait()
         psutil.wait_procs(everything, timeout=60)
@@ -218,7 +218,7 @@ def test_it_can_be_switched_off(tmp_path: Path) -> None:
     with replaying(config, tmp_path / "log") as replay:
         loaded(replay)
         replay.read_until(lambda event: "World: 51" in event.get("text", ""), "51 messages")
-        assert "topic_recorder" not in {each.name() for each in replay.descendants()}
+        assert not named(replay.descendants(), "topic_recorder")
         replay.process.send_signal(signal.SIGINT)
         replay.read_all()
     assert not raw_messages(replay.bag, "/rosout")
