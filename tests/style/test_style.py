@@ -59,6 +59,7 @@ def test_cpp_is_formatted() -> None:
 
 def test_the_site_is_built_without_warnings_and_its_links_lead_somewhere(tmp_path: Path) -> None:
     run(sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path))
+    assert "create_subscription" in (tmp_path / "sdk" / "index.html").read_text("utf-8")
     for page in tracked("*.md"):
         if not page.startswith("docs/"):
             text = (ROOT / page).read_text("utf-8")
