@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Final, NoReturn
 from play_launch import ExitCode
 from play_launch.cli.output import note, redirect_to_devnull, report
 from play_launch.control.protocol import ROS_VARIABLES, Code, OperationError
-from play_launch.control.registration import CONTROL_SOCKET
 from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect, connect_to
+from play_launch.recording.folder import CONTROL_SOCKET
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

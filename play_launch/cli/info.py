@@ -34,8 +34,8 @@ def report_damage(reader: BagReader) -> bool:
     """Write to stderr what cannot be read of a file; return whether there is anything."""
     for damage in reader.damages:
         warn(f"{reader.path}: {damage}")
-    if reader.clock_note:
-        note(f"note: {reader.path}: {reader.clock_note}")
+    for text in reader.notes:
+        note(f"note: {reader.path}: {text}")
     if not reader.is_complete and not reader.damages:
         warn(f"{reader.path}: it was not closed in order, so its end may be missing")
     return bool(reader.damages) or not reader.is_complete
@@ -53,6 +53,7 @@ def session_object(timeline: Timeline) -> dict[str, Any]:
     return {
         "path": str(reader.path),
         "files": list(reader.files),
+        "removed_files": reader.removed_files,
         "part": reader.metadata.get(PART_METADATA, {}).get("number"),
         "bytes": reader.size,
         "complete": reader.is_complete and not reader.damages,

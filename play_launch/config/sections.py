@@ -103,7 +103,7 @@ class KeepSection(ConfigSection):
     """`record.keep`: what is kept of earlier sessions."""
 
     sessions = optional(kinds.integer(1, 1_000_000), "Number of sessions. By default all.", 20)
-    size = optional(kinds.SIZE, "Size of the sessions together. By default unlimited.", "10 GB")
+    size = optional(kinds.SIZE, "Size of all sessions together, by default unlimited.", "10 GB")
 
 
 class SamplingSection(ConfigSection):

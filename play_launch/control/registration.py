@@ -16,10 +16,11 @@ import struct
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
+from play_launch.recording.folder import CONTROL_SOCKET
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-CONTROL_SOCKET: Final = "control.sock"
 """In the folder of a session; a killed supervisor leaves it behind."""
 LINKS: Final = "PLAY_LAUNCH_SESSIONS_DIR"
 """Environment variable: another folder for the links, for systems that are to be kept apart."""

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from play_launch.control.client import TIMEOUT, ControlClient, SessionInfo
 from play_launch.control.protocol import Code, OperationError
 from play_launch.control.registration import (
-    CONTROL_SOCKET,
     RegisteredSession,
     forget,
     is_alive,
@@ -25,6 +24,7 @@ from play_launch.control.registration import (
     registered,
     registered_by_others,
 )
+from play_launch.recording.folder import CONTROL_SOCKET
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence

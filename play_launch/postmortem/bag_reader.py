@@ -113,8 +113,6 @@ class Message(Struct, frozen=True, gc=False):
 
 Take: TypeAlias = "Callable[[Message], RunEvent | None]"
 """What is called with each message of a topic; it gives the event that it read."""
-
-
 TakeOf: TypeAlias = "Callable[[RecordedTopic], Take | Runs | None]"
 
 
@@ -186,15 +184,18 @@ class BagReader:
         return _number(self.metadata.get(CLOCK_METADATA, {}).get("ahead_ns", ""))
 
     @property
-    def clock_note(self) -> str:
-        """What is to be reported about times, if anything."""
-        if abs(self.ahead_ns) < _DAY:
-            return ""
-        way = "forward" if self.ahead_ns > 0 else "back"
-        return (
-            f"the clock was set {way} by {abs(self.ahead_ns) / _DAY:,.1f} days while this was "
-            "recorded; times after the start are given as if it had not been"
-        )
+    def removed_files(self) -> int:
+        """How many files were removed at the beginning (`record.keep.size`)."""
+        return max(0, _number(self.metadata.get(PART_METADATA, {}).get("first", "")))
+
+    @property
+    def notes(self) -> Iterator[str]:
+        """What is to be reported of a recording beside damages."""
+        if self.removed_files and len(self.files) > 1:
+            yield f"{self.removed_files:,} files of its beginning were removed (record.keep.size)"
+        if abs(days := self.ahead_ns / _DAY) >= 1:
+            way = "forward" if days > 0 else "back"
+            yield f"the clock was set {way} by {abs(days):,.1f} days; times do not follow that"
 
     def note(self, damage: Damage, *, places: int = 1) -> None:
         """Note a place that cannot be read, or so many; it may be noted twice in a row."""
@@ -253,10 +254,13 @@ class BagReader:
             self._note_missing(parts)
 
     def _note_missing(self, parts: list[PartFile]) -> None:
-        there, last = {part.number for part in parts}, parts[-1].number
-        left = last + 1 - len(there)
+        last = parts[-1].number
+        first = min(self.removed_files, last)
+        there = {part.number for part in parts if part.number >= first}
+        left = last + 1 - first - len(there)
         # A name can hold any number.
-        for number in islice((each for each in range(last) if each not in there), _LISTED + 1):
+        missing = (each for each in range(first, last) if each not in there)
+        for number in islice(missing, _LISTED + 1):
             name = part_path(self.path / BAG_NAME, number).name
             left -= 1
             self.note(Damage(0, "the file is missing", name))

@@ -26,7 +26,7 @@ _TIMEOUT: Final = 60.0
 _LOOK: Final = 1.0
 REST = 10.0
 """Seconds between the end of the bring-up and the first look at other sessions."""
-_AGAIN: Final = 3600.0
+_AGAIN: Final = 600.0
 """Seconds until limits are kept again: the running session grows, too."""
 _log = logging.getLogger(__name__)
 

@@ -16,7 +16,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from play_launch.config.model import RotateConfig
 from play_launch.container.cdr.structure import Layout
 from play_launch.recording.errors import WriteFailedError, reason
-from play_launch.recording.folder import IndexedFile, IndexedTopic, part_path, write_index
+from play_launch.recording.folder import (
+    IndexedFile,
+    IndexedTopic,
+    is_own,
+    part_file,
+    part_path,
+    write_index,
+)
 from play_launch.recording.mcap_file import McapFile
 from play_launch.recording.topics import PARAMETERS, PART_METADATA, REPEATED, message_definition
 
@@ -33,6 +40,10 @@ _UNFLUSHED_LIMIT: Final = 64 * 1024
 """Bytes of whole chunks that wait for a flush, at most: a full chunk is flushed at once."""
 _LONG: Final = 4
 """Times the room after which a full disk is tried again: topics and further files leave it."""
+_LEAST_FILES: Final = 4
+"""Files that a limit of the recording has room for, so that removing one leaves much of it."""
+_LEAST_SIZE: Final = 1e6
+"""Bytes of a file that are worth a head of their own, whatever the limit is."""
 _LATCHED_LIMIT: Final = 100
 _LATCHED_SIZE_LIMIT: Final = 1024 * 1024
 """Messages of a latched topic that are repeated, and their bytes; the latest is in any case."""
@@ -67,6 +78,7 @@ class BagWriter:
         *,
         definition: Callable[[str], str] = message_definition,
         rotation: RotateConfig | None = None,
+        limit: float = math.inf,
         sync: float = math.inf,
         has_index: bool = False,
         ros_distro: str = "",
@@ -74,13 +86,17 @@ class BagWriter:
     ) -> None:
         """Create the file; it must not exist.
 
-        ``definition`` gives the text of a message type, and is called once for each. Every ``sync``
+        ``definition`` gives the text of a message type, and is called once for each. Beyond
+        ``limit`` bytes of all files the oldest are removed, but for the latest two. Every ``sync``
         seconds what was flushed is forced to the disk. With an index, which names ``ros_distro``,
         the folder of the file is a bag to rosbag2. ``now`` gives log times.
         """
         self._first_path = path
         self._definition = definition
-        self._rotation = rotation or RotateConfig(math.inf, math.inf)
+        rotation = rotation or RotateConfig(math.inf, math.inf)
+        self._limit = limit
+        self._size = min(rotation.size, max(limit / _LEAST_FILES, _LEAST_SIZE))
+        self._duration = rotation.duration
         self._has_index = has_index
         self._ros_distro = ros_distro
         self._now = now
@@ -92,8 +108,8 @@ class BagWriter:
         """Whether something was put into the bag since the last flush."""
         self._by_key: dict[tuple[int, str], _Latched] = {}
         self._by_topic: dict[int, deque[_Latched]] = {}
-        self._finished_bytes = 0
-        self._finished_messages = 0
+        self._finished: tuple[tuple[int, int], ...] = ()
+        """Bytes and messages of the files that are complete and stay."""
         self._number = 0
         self._repeated = 0
         self._not_before = 0.0
@@ -110,17 +126,23 @@ class BagWriter:
     @property
     def parts(self) -> int:
         """Number of files."""
-        return self._number + 1
+        return len(self._finished) + 1
+
+    @property
+    def removed_parts(self) -> int:
+        """Number of files that were removed, the oldest ones."""
+        return self._number - len(self._finished)
 
     @property
     def bytes_written(self) -> int:
         """Size of the files."""
-        return self._finished_bytes + self._file.committed
+        return sum(size for size, _ in self._finished) + self._file.committed
 
     @property
     def messages(self) -> int:
         """Messages that are in the files; those that are repeated count once."""
-        return self._finished_messages + self._file.committed_messages - self._repeated
+        finished = sum(messages for _, messages in self._finished)
+        return finished + self._file.committed_messages - self._repeated
 
     @property
     def unflushed_messages(self) -> int:
@@ -187,9 +209,7 @@ class BagWriter:
         now = time.monotonic()
         if (
             file.committed_messages > self._repeated
-            and (
-                file.committed >= self._rotation.size or now - file.begun >= self._rotation.duration
-            )
+            and (file.committed >= self._size or now - file.begun >= self._duration)
             and now >= self._not_before
             and self.leaves_room()
         ):
@@ -212,7 +232,7 @@ class BagWriter:
     def close(self) -> None:
         """Complete the file, make it durable and give it its final name."""
         self._file.finish()
-        self._complete(self._file)
+        self._complete(self._file, self.removed_parts)
         self._disk.close()
 
     def abandon(self) -> None:
@@ -229,14 +249,14 @@ class BagWriter:
         self.has_unflushed = True
         record(self._file)
 
-    def _begin(self, number: int) -> McapFile:
-        """Make a file with everything that it needs to be read alone."""
+    def _begin(self, number: int, first: int = 0) -> McapFile:
+        """Make a file with everything that it needs to be read alone; those from ``first`` stay."""
         file = McapFile(part_path(self._first_path, number))
         try:
             for record in self._head.values():
                 record(file)
             if number > 0:
-                file.metadata(PART_METADATA, {"number": str(number)})
+                file.metadata(PART_METADATA, {"number": str(number), "first": str(first)})
             for topic in self._topics.values():
                 file.register(topic, self._definitions[topic.type_name])
             now = self._now()  # playback begins with the file's earliest log time
@@ -271,8 +291,14 @@ class BagWriter:
 
     def _rotate(self) -> None:
         old = self._file
+        finished = (*self._finished, (old.committed, old.committed_messages - self._repeated))
+        surplus = self._size - self._limit + sum(size for size, _ in finished)
+        while len(finished) > 1 and surplus > 0 and not self._is_pinned():
+            surplus -= finished[0][0]
+            finished = finished[1:]
+        first = self._number + 1 - len(finished)
         try:
-            following = self._begin(self._number + 1)
+            following = self._begin(self._number + 1, first)
         except WriteFailedError as error:
             self._not_before = time.monotonic() + _ROTATION_RETRY
             _log.warning(
@@ -285,14 +311,19 @@ class BagWriter:
             _log.error("%s; the next start completes it", error)
             self._disk.do(old, old.abandon)
         else:
-            self._complete(old)
-        self._finished_bytes += old.committed
-        self._finished_messages += old.committed_messages - self._repeated
+            self._complete(old, first)
+        self._finished = (*finished[:-1], (old.committed, finished[-1][1]))
         self._file, self._number = following, self._number + 1
         self._repeated = following.committed_messages
         self._disk.sync_soon(following)
 
-    def _complete(self, file: McapFile) -> None:
+    def _is_pinned(self) -> bool:
+        try:
+            return not all(is_own(path) for path in self._first_path.parent.iterdir())
+        except OSError:
+            return True
+
+    def _complete(self, file: McapFile, first: int) -> None:
         name, known = part_path(self._first_path, self._number).name, file.statistics
         counts = {
             IndexedTopic(
@@ -305,14 +336,28 @@ class BagWriter:
         def complete() -> None:
             file.complete()
             self._completed.append(indexed)
-            if not self._has_index:
-                return
+            folder = self._first_path.parent
+            parts = [] if first == 0 else filter(None, map(part_file, folder.iterdir()))
+            removed = [part.path for part in parts if part.number < first]
+            names = {path.name for path in removed}
+            self._completed = [each for each in self._completed if each.name not in names]
             try:
-                write_index(self._first_path.parent, self._completed, self._ros_distro)
+                if self._has_index:
+                    write_index(folder, self._completed, self._ros_distro)
             except OSError as error:  # each file is whole without it
                 _log.warning("cannot write the index of %s: %s", self._first_path, reason(error))
+            self._remove(removed)
 
         self._disk.do(file, complete)
+
+    def _remove(self, files: list[Path]) -> None:
+        for path in files:
+            try:
+                path.unlink()
+            except OSError as error:
+                _log.warning("%s cannot be removed: %s", path, reason(error))
+            else:
+                _log.info("removed %s: the recording is larger than record.keep.size", path)
 
 
 class _DiskThread:

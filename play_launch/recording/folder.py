@@ -1,4 +1,4 @@
-"""The files of a recording in the folder of its session: names, order and index."""
+"""The folder of a session: the names of its files, their order, and the index."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 _BUFFER: Final = 1 << 17
 """Bytes that are read at once: records of a recording are short."""
 BAG_NAME: Final = "session.mcap"
+CONTROL_SOCKET: Final = "control.sock"
 MACHINES: Final = "machines.json"
 """Where the parts of a system are recorded that runs on several machines."""
 ORDER_NAME: Final = ".order"
@@ -34,6 +35,12 @@ NEW_SUFFIX: Final = ".new"
 _VERSION: Final = 8
 """With the quality of service as text; 9 has a list there, which older versions do not read."""
 _PART: Final = re.compile(r"session(?:_([1-9][0-9]{0,8}))?\.mcap")
+_OWN: Final = re.compile(
+    r"session(_\d+)?(\.mcap(\.active|\.recovering|\.damaged)*|\.html|\.trace\.json|-csv|-parquet)"
+    rf"|(metadata\.yaml|{re.escape(MACHINES)})(\.new)?|{re.escape(CONTROL_SOCKET)}|\.session.*\.\d+\.writing",
+    re.ASCII,
+)
+"""What play-launch puts into it: recordings, and what is made of them; anything else pins it."""
 
 
 def note_start(folder: Path) -> None:
@@ -80,6 +87,12 @@ def part_file(path: Path) -> PartFile | None:
     return None if found is None else PartFile(path, int(found[1] or 0))
 
 
+def is_own(path: Path) -> bool:
+    """Whether play-launch put this into the folder of a session."""
+    tables = path.name.endswith(("-csv", "-parquet"))
+    return bool(_OWN.fullmatch(path.name)) and not path.is_symlink() and path.is_dir() == tables
+
+
 def parts_of(folder: Path) -> list[PartFile]:
     """The files of the recording in this folder, in order; may raise ``OSError``.
 
@@ -107,7 +120,7 @@ def active_parts(folder: Path) -> list[PartFile]:
 def beside(recording: Path, ending: str) -> Path:
     """``session.html`` for ``.html``: beside ``session.mcap`` or its ``.active``, or in the folder.
 
-    `postmortem.archive` has to know the ending, or a file made there keeps its session.
+    `is_own` has to know the ending, or a file made there pins its session.
     """
     if recording.is_dir():
         return recording / f"session{ending}"

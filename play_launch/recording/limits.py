@@ -86,6 +86,8 @@ class RecordingSummary(Struct, frozen=True):
     bytes: int
     parts: int = 1
     """Number of files."""
+    removed_parts: int = 0
+    """Number of earlier files that were removed (`record.keep.size`)."""
     topic_drops: int = 0
     """Messages of ROS's topics that are not in it."""
     interruptions: int = 0

@@ -222,6 +222,7 @@ class Recorder:
                 dropped=self.dropped,
                 bytes=self._bag.bytes_written,
                 parts=self._bag.parts,
+                removed_parts=self._bag.removed_parts,
                 topic_drops=self.topic_drops,
                 interruptions=self._interruptions,
                 error=self.error,
@@ -346,10 +347,9 @@ class Recorder:
                 if not (channel := self._channels.get(topic) or self._defined(topic)):
                     self.dropped += 1
                     continue
+                times = {"log_time": received, "publish_time": stamp_ns}
                 try:
-                    self._bag.write(
-                        channel, data, log_time=received, publish_time=stamp_ns, key=key
-                    )
+                    self._bag.write(channel, data, **times, key=key)
                 except WriteFailedError as error:
                     self._wait_for_disk(error)
             if not is_flood and not number & 63:

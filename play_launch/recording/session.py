@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import re
 import shutil
@@ -101,6 +102,7 @@ def open_session(
         writer = BagWriter(
             folder / BAG_NAME,
             rotation=record.rotate,
+            limit=math.inf if record.keep.size is None else record.keep.size,
             sync=record.sync,
             has_index=True,
             ros_distro=_ros_distro(description),

@@ -21,8 +21,9 @@ from play_launch.cli.connection import report_end
 from play_launch.control import registration
 from play_launch.control.client import SessionInfo
 from play_launch.control.protocol import PROTOCOL, Code, OperationError, encode
-from play_launch.control.registration import CONTROL_SOCKET, LINKS, address_of, registered
+from play_launch.control.registration import LINKS, address_of, registered
 from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect, twins
+from play_launch.recording.folder import CONTROL_SOCKET
 from tests.control.links import put_link
 from tests.support.replay import COMMAND, replaying
 from tests.support.waiting import until

@@ -19,9 +19,10 @@ import pytest
 from play_launch.control import server
 from play_launch.control.messages import SessionHello
 from play_launch.control.protocol import REQUEST_LIMIT, Code, OperationError, decode, encode
-from play_launch.control.registration import CONTROL_SOCKET, LINKS, ControlSocket, registered
+from play_launch.control.registration import LINKS, ControlSocket, registered
 from play_launch.control.server import CLIENTS_LIMIT, REQUESTS_LIMIT, serving
 from play_launch.control.sessions import NoSessionError, connect, connect_to
+from play_launch.recording.folder import CONTROL_SOCKET
 from tests.control.links import put_link
 
 if TYPE_CHECKING:

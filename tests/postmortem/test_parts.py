@@ -19,7 +19,7 @@ from play_launch.recording.forms import convert
 from play_launch.recording.topics import METADATA_NAME
 from play_launch.supervisor.events import ContainerStateChanged, RunEvent
 from tests.postmortem.test_past_session import OTHERS
-from tests.recording.test_parts import three_parts
+from tests.recording.test_parts import recorded_with_limit, three_parts
 from tests.recording.test_states import EVENTS
 
 
@@ -94,6 +94,18 @@ def test_a_missing_file_is_named_and_what_the_next_one_repeats_is_read(tmp_path:
     assert len(messages) == 4 + 3
     assert [str(damage) for damage in reader.damages] == [
         "session_1.mcap: byte 0: the file is missing"
+    ]
+
+
+def test_files_that_were_removed_by_the_limit_are_not_missing(tmp_path: Path) -> None:
+    recorded_with_limit(tmp_path, 4)
+    reader = BagReader(tmp_path)
+    assert 2 <= len(list(reader.messages())) <= 4
+    assert (reader.damages, reader.is_complete) == ([], True)
+    (tmp_path / "session_11.mcap").unlink()
+    list((reader := BagReader(tmp_path)).messages())
+    assert [str(damage) for damage in reader.damages] == [
+        "session_11.mcap: byte 0: the file is missing"
     ]
 
 

@@ -13,7 +13,7 @@ from rosbags.highlevel import AnyReader
 from play_launch.config.model import RotateConfig
 from play_launch.container.cdr.messages import log_message
 from play_launch.recording.bag import BagWriter
-from play_launch.recording.folder import MAGIC, part_path
+from play_launch.recording.folder import MAGIC, part_path, parts_of
 from play_launch.recording.forms import convert
 from play_launch.recording.topics import OUTPUT, STATES, Topic, message_definition
 from play_launch.supervisor.events import ContainerState, ContainerStateChanged
@@ -69,7 +69,57 @@ def test_each_file_is_complete_by_itself(tmp_path: Path) -> None:
         assert attachment.data == b"a: 1\n"
         metadata = {one.name: one.metadata for one in records(path) if isinstance(one, Metadata)}
         assert metadata.pop("play_launch.session") == {"id": "1"}
-        assert metadata == ({"play_launch.part": {"number": str(number)}} if number else {})
+        part = {"number": str(number), "first": "0"}
+        assert metadata == ({"play_launch.part": part} if number else {})
+
+
+def recorded_with_limit(folder: Path, megabytes: float) -> BagWriter:
+    """Lines 1 to 12 in files of one of them each, of 1 MB."""
+    writer = BagWriter(folder / "session.mcap", limit=megabytes * 1e6, has_index=True)
+    output = writer.register(OUTPUT)
+    noise = os.urandom(1_000_000).hex()
+    for number in range(1, 13):
+        data = log_message(number, 20, "/a", f"line {number} {noise}", file="stdout")
+        writer.write(output, data, log_time=number, publish_time=number)
+        writer.flush()
+    writer.close()
+    return writer
+
+
+def numbers(folder: Path) -> list[int]:
+    return [part.number for part in parts_of(folder)]
+
+
+def test_beyond_the_limit_the_oldest_files_go(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    writer = recorded_with_limit(tmp_path, 4)
+    kept = numbers(tmp_path)
+    assert kept == list(range(kept[0], 12 + 1))
+    size = sum(part.path.stat().st_size for part in parts_of(tmp_path))
+    assert 2e6 < size <= 4e6
+    assert (writer.parts, writer.removed_parts) == (len(kept), kept[0])
+    assert writer.bytes_written == size
+    with AnyReader([tmp_path]) as bag:
+        lines = [
+            vars(bag.deserialize(raw, connection.msgtype))["msg"].split()[1]
+            for connection, _, raw in bag.messages()
+        ]
+    assert lines == [str(number) for number in range(kept[0] + 1, 13)]
+    assert writer.messages == len(lines)
+    assert sum("removed" in each.message for each in caplog.records) == kept[0]
+
+
+def test_the_two_latest_files_stay_whatever_the_limit_is(tmp_path: Path) -> None:
+    recorded_with_limit(tmp_path, 0.5)
+    assert numbers(tmp_path) == [11, 12]
+
+
+def test_nothing_of_a_session_that_is_pinned_goes(tmp_path: Path) -> None:
+    (tmp_path / "pinned").touch()
+    assert recorded_with_limit(tmp_path, 4).removed_parts == 0
+    assert numbers(tmp_path) == list(range(13))
 
 
 @pytest.mark.parametrize("change", ["int64 other\n", None])

@@ -150,6 +150,8 @@ def recording_line(recording: RecordingSummary) -> str:
     facts = [f"{recording.messages:,} messages", size(recording.bytes)]
     if recording.parts > 1:
         facts.insert(0, f"{recording.parts} files")
+    if recording.removed_parts:
+        facts.append(f"the first {counted(recording.removed_parts, 'file')} removed")
     if recording.dropped:
         facts.append(f"{recording.dropped:,} events dropped")
     if recording.interruptions:

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from msgspec import Struct
 
 from play_launch.config.model import KeepConfig
-from play_launch.control.registration import CONTROL_SOCKET
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
 from play_launch.postmortem.recover import (
     RecoverError,
@@ -28,9 +27,9 @@ from play_launch.postmortem.recover import (
 )
 from play_launch.recording.folder import (
     ACTIVE_SUFFIX,
-    MACHINES,
     active_parts,
     age_in,
+    is_own,
     open_regular,
     part_file,
 )
@@ -46,12 +45,6 @@ DAMAGED: Final = ".damaged"
 """After the name of a file from which one was recovered that has gaps."""
 _NAME: Final = re.compile(r"\d{4}(?:-\d\d){5}-.+", re.ASCII | re.DOTALL)
 """As `recording.session` names the folder of a session."""
-_OWN: Final = re.compile(
-    r"session(_\d+)?(\.mcap(\.active|\.recovering|\.damaged)*|\.html|\.trace\.json|-csv|-parquet)"
-    rf"|(metadata\.yaml|{re.escape(MACHINES)})(\.new)?|{re.escape(CONTROL_SOCKET)}|\.session.*\.\d+\.writing",
-    re.ASCII,
-)
-"""What play-launch puts into it: recordings, and what is made of them; anything else pins it."""
 _HEAD: Final = re.compile(rb"\x89MCAP0\r\n\x01.{8}\x04\0\0\0ros2.{4}play_launch", re.DOTALL)
 """How a file begins that play-launch wrote: the header names profile and library."""
 _HEAD_SIZE: Final = 64
@@ -104,7 +97,7 @@ def session_entry(folder: Path) -> SessionEntry | None:
         for path in sorted(folder.iterdir()):
             status = path.stat(follow_symlinks=False)
             size += status.st_blocks * 512
-            is_pinned = is_pinned or not _is_own(path)
+            is_pinned = is_pinned or not is_own(path)
             part = part_file(path)
             if part is None or path.is_symlink():
                 continue
@@ -170,7 +163,7 @@ def remove_session(folder: Path) -> bool:
     if entry is None or entry.is_running or entry.is_pinned:
         return False
     trash = folder.rename(folder.with_name(REMOVING + folder.name))
-    if not all(_is_own(path) for path in trash.iterdir()):
+    if not all(is_own(path) for path in trash.iterdir()):
         trash.rename(folder)  # a file was added in the meantime
         return False
     shutil.rmtree(trash)
@@ -243,11 +236,6 @@ def _is_whole(path: Path) -> bool:
         for _ in reader.messages(()):
             pass
     return reader.is_complete
-
-
-def _is_own(path: Path) -> bool:
-    tables = path.name.endswith(("-csv", "-parquet"))
-    return bool(_OWN.fullmatch(path.name)) and not path.is_symlink() and path.is_dir() == tables
 
 
 def _is_recording(path: Path) -> bool:

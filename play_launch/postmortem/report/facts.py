@@ -222,8 +222,7 @@ def _topics(reader: BagReader, gathered: Gathered) -> tuple[TopicRate, ...]:
 
 def _notices(reader: BagReader, gathered: Gathered) -> tuple[str, ...]:
     notices = unread(reader)
-    if reader.clock_note:
-        notices.append(f"{reader.clock_note}.".capitalize())
+    notices += [f"{text}.".capitalize() for text in reader.notes]
     for count, what in (
         (gathered.lines.left_out, "lines below WARN that were not written close to a failure"),
         (gathered.timeline.events_left_out, "failures"),

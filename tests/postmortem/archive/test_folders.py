@@ -12,7 +12,6 @@ from play_launch.cli.export import export as export_session
 from play_launch.cli.output import whole_file
 from play_launch.cli.report import report as write_report
 from play_launch.config.model import KeepConfig
-from play_launch.control.registration import CONTROL_SOCKET
 from play_launch.postmortem.archive import (
     REMOVING,
     list_sessions,
@@ -20,6 +19,7 @@ from play_launch.postmortem.archive import (
     remove_session,
     session_entry,
 )
+from play_launch.recording.folder import CONTROL_SOCKET
 from tests.postmortem.archive.scenes import begin_session, cut_off_session, name_of, past_session
 from tests.postmortem.scenes import Scene
 
