@@ -103,7 +103,7 @@ Recording: TypeAlias = Annotated[
     typer.Argument(
         metavar="[FILE]",
         help="A session.mcap, or the folder of a session. Default: the latest session in "
-        "$PLAY_LAUNCH_LOG_DIR, $ROS_LOG_DIR/play_launch or ~/.ros/play_launch.",
+        "$PLAY_LAUNCH_LOG_DIR, else in play_launch of $ROS_LOG_DIR, $ROS_HOME or ~/.ros.",
         default_factory=_latest_recording,
         show_default=False,
     ),
@@ -117,7 +117,7 @@ LogDir: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         help="Where to make the folder of this session. Default: log_dir of the configuration, "
-        "else $PLAY_LAUNCH_LOG_DIR, $ROS_LOG_DIR/play_launch, ~/.ros/play_launch.",
+        "else $PLAY_LAUNCH_LOG_DIR, else play_launch in $ROS_LOG_DIR, $ROS_HOME or ~/.ros.",
         metavar="DIR",
         show_default=False,
     ),

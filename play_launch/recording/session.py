@@ -204,13 +204,12 @@ def announce(folder: Path) -> None:
 def default_log_folder(environ: Mapping[str, str] = os.environ) -> Path:
     """Where sessions go by default.
 
-    ``$PLAY_LAUNCH_LOG_DIR``, else ``$ROS_LOG_DIR/play_launch``, else ``~/.ros/play_launch``.
+    ``$PLAY_LAUNCH_LOG_DIR``, else ``play_launch`` in ``$ROS_LOG_DIR``, ``$ROS_HOME`` or ``~/.ros``.
     """
     if own := environ.get("PLAY_LAUNCH_LOG_DIR"):
         return Path(own).expanduser()
-    if ros := environ.get("ROS_LOG_DIR"):
-        return Path(ros).expanduser() / "play_launch"
-    return Path("~/.ros/play_launch").expanduser()
+    ros = environ.get("ROS_LOG_DIR") or environ.get("ROS_HOME") or "~/.ros"
+    return Path(ros).expanduser() / "play_launch"
 
 
 def create_session_folder(log_folder: Path, name: str, now: datetime) -> Path:

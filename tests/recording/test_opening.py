@@ -78,7 +78,9 @@ NOW = datetime(2026, 11, 21, 6, 36, 25, tzinfo=UTC)
 def test_the_default_log_folder_follows_the_environment() -> None:
     both = {"PLAY_LAUNCH_LOG_DIR": "/x/own", "ROS_LOG_DIR": "/x/ros"}
     assert default_log_folder(both) == Path("/x/own")
-    assert default_log_folder({"ROS_LOG_DIR": "/x/ros"}) == Path("/x/ros/play_launch")
+    both = {"ROS_HOME": "/x/home", "ROS_LOG_DIR": "/x/ros"}
+    assert default_log_folder(both) == Path("/x/ros/play_launch")
+    assert default_log_folder({"ROS_HOME": "/x/home"}) == Path("/x/home/play_launch")
     empty = default_log_folder({"PLAY_LAUNCH_LOG_DIR": "", "ROS_LOG_DIR": ""})
     assert empty == Path.home() / ".ros" / "play_launch"
 
