@@ -354,10 +354,10 @@ class BagWriter:
         for path in files:
             try:
                 path.unlink()
-            except OSError as error:
+            except OSError as error:  # the next rotation tries it again
                 _log.warning("%s cannot be removed: %s", path, reason(error))
-            else:
-                _log.info("removed %s: the recording is larger than record.keep.size", path)
+                return
+            _log.info("removed %s: the recording is larger than record.keep.size", path)
 
 
 class _DiskThread:
