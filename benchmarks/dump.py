@@ -2,7 +2,8 @@
 
     python -m benchmarks.dump [PKG FILE | PATH] [NAME:=VALUE]... [--runs N] [--json]
 
-Without a launch file, a small one of ten nodes is taken, of made-up packages. Times are those of
+Without a launch file a made-up one is taken: 63 files that include each other, six deep, each with
+a node and 40 arguments. Times are those of
 whole processes, the start of Python and all imports included. ROS's launch is as it is installed:
 the description is visited as LaunchService does, and only what would be started is left out. It has
 to be installed (a sourced ROS); dump takes it as well then, without what launch does needlessly
@@ -24,7 +25,8 @@ from pathlib import Path
 from benchmarks.bring_up import COMMAND, ENVIRONMENT, cpu_of_children
 from benchmarks.statistics import header, row
 
-NODES = 10
+FILES = 63
+ARGUMENTS = 40
 REFERENCE = """
 import asyncio, sys
 import launch
@@ -56,23 +58,37 @@ visit(IncludeLaunchDescription(source, launch_arguments=pairs))
 """
 
 
-def small(folder: Path) -> Path:
-    """Write the small launch file, and the package whose nodes it starts."""
+def tree(folder: Path) -> Path:
+    """Write the made-up launch files, and the package whose nodes they start; return the first."""
     index = folder / "share" / "ament_index" / "resource_index" / "packages"
-    programs = folder / "lib" / "made_up"
-    for each in (index, programs):
+    programs, files = folder / "lib" / "made_up", folder / "share" / "made_up"
+    for each in (index, programs, files):
         each.mkdir(parents=True)
     (index / "made_up").touch()
     (programs / "node").write_text("#!/bin/sh\n")
     (programs / "node").chmod(0o755)
-    nodes = "".join(
-        f'<node pkg="made_up" exec="node" name="node_{number}"><param name="x" value="$(var x)"/>'
-        "</node>\n"
-        for number in range(NODES)
-    )
-    path = folder / "small.launch.xml"
-    path.write_text(f'<launch>\n<arg name="x" default="1"/>\n{nodes}</launch>\n')
-    return path
+    values = "".join(f"    x{number}: {number / 2}\n" for number in range(ARGUMENTS))
+    for number in range(FILES):
+        parameters = files / f"{number}.param.yaml"
+        parameters.write_text(f"/**:\n  ros__parameters:\n{values}")
+        defaults = (
+            f'<arg name="a{each}" default="$(env HOME)/{number if each % 2 else 0}/{each}"/>\n'
+            for each in range(ARGUMENTS)
+        )
+        given = "".join(
+            f'<arg name="a{each}" value="$(var a{each})"/>\n' for each in range(0, ARGUMENTS, 2)
+        )
+        included = (
+            f'<include file="$(find-pkg-share made_up)/{each}.launch.xml">\n{given}</include>\n'
+            for each in (2 * number + 1, 2 * number + 2)
+            if each < FILES
+        )
+        (files / f"{number}.launch.xml").write_text(
+            f"<launch>\n{''.join(defaults)}{''.join(included)}"
+            f'<node pkg="made_up" exec="node" name="node_{number}">'
+            f'<param name="x" value="$(var a1)"/><param from="{parameters}"/></node>\n</launch>\n'
+        )
+    return files / "0.launch.xml"
 
 
 class Times:
@@ -113,7 +129,7 @@ def measure(words: Sequence[str], runs: int) -> dict[str, Times]:
         arguments = [word for word in words if ":=" in word]
         target = [word for word in words if ":=" not in word]
         if not target:
-            target = [str(small(folder))]
+            target = [str(tree(folder))]
             prefixes = [name, *filter(None, [environment.get("AMENT_PREFIX_PATH")])]
             environment["AMENT_PREFIX_PATH"] = os.pathsep.join(prefixes)
         path = path_of(target)
@@ -140,7 +156,7 @@ def main() -> None:
     if options.json:
         print(json.dumps({name: vars(times) for name, times in found.items()}))
         return
-    shown = " ".join(options.words) or f"{NODES} nodes"
+    shown = " ".join(options.words) or f"{FILES} files"
     print(f"{shown}, {os.cpu_count()} CPUs, {options.runs} runs, load {os.getloadavg()[0]:.1f}")
     print(header())
     for name, times in found.items():

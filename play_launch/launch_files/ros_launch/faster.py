@@ -9,15 +9,11 @@ import functools
 import importlib.metadata
 import io
 import pickle
-import re
 import sys
 from typing import Any, Final
 
 import yaml
 
-_CALL: Final = re.compile(r"\$\(([A-Za-z][A-Za-z0-9_-]*)", re.ASCII)
-_PLAIN: Final = re.compile(r"[^$]+")
-_PLAIN_ARGUMENT: Final = re.compile(r"[^$() ]+")
 _REMEMBERED: Final = 256
 """How many texts in YAML are kept with what they mean."""
 
@@ -51,7 +47,7 @@ def _check_no_arguments_ahead() -> None:
 
 
 def _parse_substitutions_once() -> None:
-    """Parse each text once, and by the Earley parser only where ours may say something else."""
+    """Parse each text once: the Earley parser takes 0.2 to 1 ms for one."""
     from launch.frontend import parser  # noqa: PLC0415
     from launch.substitutions import TextSubstitution  # noqa: PLC0415
 
@@ -62,7 +58,7 @@ def _parse_substitutions_once() -> None:
 
     @functools.cache
     def once(text: str) -> tuple[Any, ...]:
-        return tuple(parsed(text) or original(text))
+        return tuple(original(text))
 
     def parse_substitution(text: str) -> list[Any]:
         if text and "$" not in text and "\\" not in text:
@@ -76,41 +72,6 @@ def _parse_substitutions_once() -> None:
                 if value is original:
                     setattr(other, attribute, parse_substitution)
     assert parser.parse_substitution is parse_substitution
-
-
-def parsed(text: str) -> list[Any]:
-    """Parse a text without quotes and escapes; return nothing where launch has to parse it."""
-    if any(character in text for character in "\\'\""):
-        return []
-    try:
-        return _parse(text, 0, ends="")[0]
-    except Exception:  # noqa: BLE001 - whatever a substitution of the user raises; launch repeats it
-        return []
-
-
-def _parse(text: str, at: int, *, ends: str) -> tuple[list[Any], int]:
-    """Return the substitutions up to one of the characters `ends`, and where that is."""
-    from launch.frontend.expose import instantiate_substitution  # noqa: PLC0415
-    from launch.substitutions import TextSubstitution  # noqa: PLC0415
-
-    found: list[Any] = []
-    while at < len(text) and text[at] not in ends:
-        if call := _CALL.match(text, at):
-            at, given = call.end(), []
-            while text[at] == " ":
-                argument, at = _parse(text, at + 1, ends=" )")
-                given.append(argument)
-            if text[at] != ")" or [] in given:
-                raise ValueError(text)
-            at += 1
-            found.append(instantiate_substitution(call[1], *([given] if given else [])))
-        else:
-            plain = (_PLAIN_ARGUMENT if ends else _PLAIN).match(text, at)
-            if plain is None:
-                raise ValueError(text)
-            at = plain.end()
-            found.append(TextSubstitution(text=plain[0]))
-    return found, at
 
 
 def _read_yaml_by_libyaml() -> None:

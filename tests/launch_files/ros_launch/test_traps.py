@@ -332,6 +332,7 @@ def test_the_answer_without_what_is_left_out(prefix: Prefix) -> None:
 <launch>
   <include file="{prefix.folder}/b.launch.xml"/>
   <node pkg="pkg" exec="talker" name="t" args="$(var x) a\\\\b"><param from="{file}"/></node>
+  <node pkg="pkg" exec="talker" name="t" args="'it is' (plain) -1.5 )"/>
   <node_container pkg="pkg" exec="component_container" name="c" namespace="">
     <composable_node pkg="demo" plugin="demo::A" name="a">
       <param name="l" value="[a, b]"/>
