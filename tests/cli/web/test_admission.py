@@ -23,7 +23,7 @@ from cryptography.x509.oid import NameOID
 
 from play_launch.cli.web.admission import Access, Rules
 from tests.cli.web.server import SOCKET, Server, serving
-from tests.support.loopback_network import wrapped
+from tests.support.loopback_network import permitted, wrapped
 from tests.support.replay import COMMAND, run
 from tests.support.waiting import until
 
@@ -192,6 +192,7 @@ def test_without_the_extra_it_says_how_to_get_it(
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.skipif(not permitted(), reason="this kernel permits no network namespace")
 def test_other_addresses_demand_tokens() -> None:
     command = wrapped(COMMAND, "web", "--bind", "0.0.0.0", "--port", "0")
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
