@@ -283,6 +283,8 @@ def test_a_group_that_got_the_number_of_a_lost_one_is_spared(guard: Path, is_not
     alone = ["unshare", "--pid", "--fork", "--kill-child", "--mount-proc"]
     command = [*alone, sys.executable, "-c", RECYCLED, str(guard), str(is_noticed)]
     result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    if result.stderr.startswith("unshare: "):
+        pytest.skip(f"this kernel permits no PID namespace ({result.stderr.strip()})")
     assert result.stdout == "spared\n", result.stderr
 
 

@@ -167,7 +167,10 @@ asyncio.run(main())
 """An ordinary user's supervisor, one process of whose session has become root's."""
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become another user")
+@pytest.mark.skipif(
+    os.geteuid() != 0 or "NoNewPrivs:\t0" not in Path("/proc/self/status").read_text(),
+    reason="needs root, and that programs may gain privileges (no_new_privs off)",
+)
 def test_a_process_that_may_not_be_killed_is_named_and_the_others_are_killed(
     guard: Path,
 ) -> None:
