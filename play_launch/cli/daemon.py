@@ -10,7 +10,7 @@ import typer
 
 from play_launch import ExitCode
 from play_launch.cli import options
-from play_launch.cli.output import fail, say, warn
+from play_launch.cli.output import counted, fail, say, warn
 from play_launch.graph_daemon.contract import WARM, daemon_address
 
 if TYPE_CHECKING:
@@ -252,7 +252,7 @@ def _facts(status: Mapping[str, Any]) -> list[str]:
         middleware += f", transports {status.get('transports') or 'default'} ({reason})"
     cached = number.get("cached_replies", 0)
     return [
-        f"  graph       {number.get('nodes', 0)} nodes, {state}",
+        f"  graph       {counted(int(number.get('nodes', 0)), 'node')}, {state}",
         f"  generation  {number.get('generation', 0)}, after {number.get('age', 0):.0f} s",
         f"  middleware  {middleware}",
         f"  requests    {number.get('requests', 0)}, {cached} of them from the cache",

@@ -33,11 +33,34 @@ _QUIET_TICK: Final = 0.25
 """Seconds between them afterwards."""
 _ADDRESS_INTERVAL: Final = 2.0
 """Seconds between two checks of the machine's addresses."""
+_LONGEST_DOUBT: Final = 25.0
+"""Seconds; a participant that was killed is forgotten after 20."""
 REPLACEMENT_TIME: Final = 3.0
 """Seconds that a new node has to discover the others before it is used."""
 STATUS_VERSION: Final = 1
 """Of the format of the status; a field may be added without a change of it."""
 _log = logging.getLogger(__name__)
+
+
+class Doubts:
+    """The nodes of the graph that may not exist any more, and since when they are doubtful."""
+
+    def __init__(self) -> None:
+        self.generation = -1
+        """Of the graph that was looked at."""
+        self._since: dict[tuple[str, str], float] = {}
+        self._settled: set[tuple[str, str]] = set()
+
+    def look(self, now: float, doubtful: frozenset[tuple[str, str]]) -> None:
+        self._since = {each: self._since.get(each, now) for each in doubtful}
+        self._settled &= doubtful
+
+    def take_old(self, now: float) -> list[str]:
+        """Give the full names of those that are due to be looked at anew; each once."""
+        old = {each for each, since in self._since.items() if now - since >= _LONGEST_DOUBT}
+        new = old - self._settled
+        self._settled |= new
+        return sorted(f"{namespace.rstrip('/')}/{name}" for name, namespace in new)
 
 
 class Daemon:
@@ -50,6 +73,7 @@ class Daemon:
         self._ended = threading.Event()
         self._replacing: threading.Thread | None = None
         self._replacements = 0
+        self._doubts = Doubts()
 
     async def run(self, listener: socket.socket, report: Callable[[str], None]) -> None:
         """Serve until a client, a signal or idleness ends it; for the main thread.
@@ -153,12 +177,25 @@ class Daemon:
             current = addresses()
             if current != self._known:
                 self._known = current
-                self._replacing = threading.Thread(target=self._replace, daemon=True)
-                self._replacing.start()
+                self._begin_to_replace("the addresses of the machine have changed")
+            elif old := self._old_doubts(now):
+                self._begin_to_replace(f"{', '.join(old)} may not exist any more")
+
+    def _old_doubts(self, now: float) -> list[str]:
+        service, doubts = self._service, self._doubts
+        if doubts.generation != service.generation and service.pulse.is_quiet(now):
+            doubts.generation = service.generation
+            with contextlib.suppress(Exception):  # whatever rclpy raises
+                doubts.look(now, service.doubtful())
+        return doubts.take_old(now)
+
+    def _begin_to_replace(self, reason: str) -> None:
+        _log.info("%s; creating a new node", reason)
+        self._replacing = threading.Thread(target=self._replace, daemon=True)
+        self._replacing.start()
 
     def _replace(self) -> None:
-        """Use a new node, since a participant keeps the addresses that it was made with."""
-        _log.info("the addresses of the machine have changed; creating a new node")
+        """Use a new node: a participant keeps its addresses, and what it was once told."""
         old = self._service.graph
         try:
             new: RosGraph = self._build()

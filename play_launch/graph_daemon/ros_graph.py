@@ -11,6 +11,7 @@ import importlib
 import logging
 import os
 import threading
+from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 from uuid import uuid4
 
@@ -19,7 +20,7 @@ import rclpy.action
 import rclpy.qos
 from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter
 from rclpy.topic_endpoint_info import TopicEndpointInfo, TopicEndpointTypeEnum
 
@@ -120,6 +121,32 @@ class RosGraph:
             for name, types in node.get_service_names_and_types()
             if node.count_clients(name) and not node.count_services(name)
         ]
+
+    def doubtful(self) -> frozenset[tuple[str, str]]:
+        """Give the nodes without any endpoint, and the names that several nodes have.
+
+        The nodes of a participant that ends while it announces them may stay in the graph for good:
+        the middleware forgets the participant first, and then takes what it had announced.
+        """
+        times = Counter(self.nodes())
+        return frozenset(
+            each for each, count in times.items() if count > 1 or not self._has_endpoints(*each)
+        )
+
+    def _has_endpoints(self, name: str, namespace: str) -> bool:
+        node = self.node
+        try:
+            return any(
+                find(name, namespace)
+                for find in (
+                    node.get_publisher_names_and_types_by_node,
+                    node.get_subscriber_names_and_types_by_node,
+                    node.get_service_names_and_types_by_node,
+                    node.get_client_names_and_types_by_node,
+                )
+            )
+        except NodeNameNonExistentError:  # it has gone since it was listed
+            return True
 
     def close(self) -> None:
         self._stopping.set()

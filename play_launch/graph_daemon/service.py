@@ -133,6 +133,11 @@ class GraphService:
             self._counted = known = generation, now, self._count_population()
         return known[2]._replace(participants_here=self._participants_here())
 
+    def doubtful(self) -> frozenset[tuple[str, str]]:
+        """Give the nodes of the graph that may not exist any more."""
+        with self._querying:
+            return self.graph.doubtful()
+
     async def answer(self, body: bytes) -> bytes:
         """Answer a request: at once, or, if it is about the graph, when that is warm."""
         self.last_request = time.monotonic()

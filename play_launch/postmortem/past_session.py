@@ -11,7 +11,7 @@ from play_launch.postmortem.events import UnreadableEventError, event_of
 from play_launch.recording.topics import APPLIED, METADATA_NAME, RESOLVED
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Container, Iterator
     from pathlib import Path
 
     from play_launch.postmortem.bag_reader import Message
@@ -64,13 +64,13 @@ class PastSession:
             return {}
         return found if isinstance(found, dict) else {}
 
-    def events(self) -> Iterator[RecordedEvent]:
-        """Give all events in the order in which they were received.
+    def events(self, topics: Container[str] | None = None) -> Iterator[RecordedEvent]:
+        """Give the events of these topics (None: all) in the order in which they were received.
 
         Raises:
             NotARecordingError: At once, for another kind of file.
         """
-        for message in self.reader.messages():
+        for message in self.reader.messages(topics):
             event = self.event(message)
             if event is not None:
                 yield RecordedEvent(message.log_time, event)

@@ -17,6 +17,7 @@ import pytest
 
 from play_launch.graph_daemon import port
 from play_launch.graph_daemon.contract import LISTENING, STATUS_METHOD, DaemonAddress
+from play_launch.graph_daemon.daemon import Doubts
 from play_launch.graph_daemon.port import OwnerKind, PortHeldError, find_owner, stop_daemon
 from play_launch.graph_daemon.start_stop import (
     DaemonStartError,
@@ -217,6 +218,50 @@ def test_other_settings_are_reported_and_a_restart_takes_them(
     assert start_daemon(address).messages == ()
     stop_daemon(address)
     gone(second)
+
+
+def announcing(*names: str) -> subprocess.Popen[bytes]:
+    """A process that announces nodes without endpoints; `communicate` ends it in order."""
+    command = [sys.executable, "-m", "tests.graph_daemon.ghost", *names]
+    return subprocess.Popen(command, stdin=subprocess.PIPE)
+
+
+def test_nodes_of_a_participant_that_has_ended_are_forgotten(address: DaemonAddress) -> None:
+    """The middleware never does: such a node has no participant whose end would be noticed."""
+    started = start_daemon(address)
+
+    def nodes() -> set[str]:
+        return {name for name, _ in ask(address, "get_node_names_and_namespaces")}
+
+    with announcing("lasting") as lasting, announcing("ghost") as dead:
+        until(lambda: nodes() >= {"lasting", "ghost"}, "both nodes")
+        dead.communicate(timeout=WAIT)
+        assert "ghost" in nodes()
+        until(lambda: "ghost" not in nodes(), "the end of the node")
+        until(lambda: "lasting" in nodes(), "the node that exists")
+        lasting.communicate(timeout=WAIT)
+    assert "/ghost, /lasting may not exist any more" in log_path(address).read_text()
+    stop_daemon(address)
+    gone(started)
+
+
+def test_what_is_doubtful_for_long_is_looked_at_anew_once() -> None:
+    doubts = Doubts()
+    one, other = ("a", "/"), ("b", "/x")
+
+    def old(now: float, *doubtful: tuple[str, str]) -> list[str]:
+        doubts.look(now, frozenset(doubtful))
+        return doubts.take_old(now)
+
+    assert old(0, one) == []
+    assert old(24, one, other) == []
+    assert doubts.take_old(25) == ["/a"]
+    assert old(48, one, other) == []
+    assert doubts.take_old(49) == ["/x/b"]
+    assert old(100, one, other) == []
+    assert old(101) == [], "it was gone"
+    assert old(102, one) == []
+    assert old(127, one) == ["/a"]
 
 
 def test_it_ends_without_requests(address: DaemonAddress) -> None:

@@ -362,7 +362,8 @@ def test_a_page_belongs_to_a_system(tmp_path: Path) -> None:
         until(lambda: answers(server), "the page")
         assert 'unit="/chat:/talker"' in server.get("/metrics", Authorization=f"Bearer {secret}")[2]
         first.kill()
-        assert "started again" in replay.until(event="log")["message"]
+        logged = replay.until(event="log", name="play_launch.process.companion")
+        assert "started again" in logged["message"]
         again = replay.until(event="output", process="page")
         assert again["pid"] != first.pid
         second = psutil.Process(again["pid"])
