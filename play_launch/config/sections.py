@@ -100,7 +100,7 @@ class RotateSection(ConfigSection):
 
 
 class KeepSection(ConfigSection):
-    """`record.keep`: what is kept of earlier sessions."""
+    """`record.keep`: what is kept of recordings."""
 
     sessions = optional(kinds.integer(1, 1_000_000), "Number of sessions. By default all.", 20)
     size = optional(kinds.SIZE, "Size of all sessions together, by default unlimited.", "10 GB")
@@ -138,7 +138,7 @@ class RecordSection(ConfigSection):
         "never",
     )
     rotate = nested(RotateSection, "When the recording goes on in a new file.", {"size": "500 MB"})
-    keep = nested(KeepSection, "What is kept of earlier sessions.", {"sessions": 20})
+    keep = nested(KeepSection, "What is kept of recordings.", {"sessions": 20})
     sampling = nested(
         SamplingSection, "How often processes and the machine are measured.", {"period": "5 s"}
     )
