@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.graph_daemon.contract import IDLE_TIMEOUT, LISTENING, WARM
 from play_launch.graph_daemon.http_server import HttpServer
 from play_launch.graph_daemon.service import GraphService
-from play_launch.graph_daemon.warm_up import addresses, participants_here
+from play_launch.graph_daemon.warm_up import Population, addresses, participants_here
 from play_launch.ros.fastdds.middleware import files_here
 from play_launch.ros.fastdds.own_participant import OwnParticipant, decide
 
@@ -33,10 +33,12 @@ _QUIET_TICK: Final = 0.25
 """Seconds between them afterwards."""
 _ADDRESS_INTERVAL: Final = 2.0
 """Seconds between two checks of the machine's addresses."""
-_LONGEST_DOUBT: Final = 25.0
+LONGEST_DOUBT: Final = 25.0
 """Seconds; a participant that was killed is forgotten after 20."""
 REPLACEMENT_TIME: Final = 3.0
-"""Seconds that a new node has to discover the others before it is used."""
+"""Seconds that a new node has to discover the others before it is used, at least."""
+_LONGEST_REPLACEMENT: Final = 10.0
+"""Seconds after which it is used although it does not know all participants of this machine."""
 STATUS_VERSION: Final = 1
 """Of the format of the status; a field may be added without a change of it."""
 _log = logging.getLogger(__name__)
@@ -57,7 +59,7 @@ class Doubts:
 
     def take_old(self, now: float) -> list[str]:
         """Give the full names of those that are due to be looked at anew; each once."""
-        old = {each for each, since in self._since.items() if now - since >= _LONGEST_DOUBT}
+        old = {each for each, since in self._since.items() if now - since >= LONGEST_DOUBT}
         new = old - self._settled
         self._settled |= new
         return sorted(f"{namespace.rstrip('/')}/{name}" for name, namespace in new)
@@ -202,7 +204,19 @@ class Daemon:
         except Exception:  # noqa: BLE001 - whatever rclpy raises
             _log.exception("no new node could be created; the old one stays in use")
             return
+        latest = time.monotonic() + _LONGEST_REPLACEMENT
         self._ended.wait(REPLACEMENT_TIME)
+        while not self._knows_all(new) and time.monotonic() < latest:
+            if self._ended.wait(_TICK):
+                break
         self._service.use(new)
         self._replacements += 1
         old.close()
+
+    def _knows_all(self, graph: RosGraph) -> bool:
+        try:
+            participants, nameless = graph.met()
+        except Exception:  # noqa: BLE001 - whatever rclpy raises; it is not waited for
+            return True
+        here = participants_here(self._address.domain)
+        return Population(0, participants, here, nameless).is_complete

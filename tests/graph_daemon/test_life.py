@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import pytest
 
 from play_launch.graph_daemon import port
 from play_launch.graph_daemon.contract import LISTENING, STATUS_METHOD, DaemonAddress
-from play_launch.graph_daemon.daemon import Doubts
+from play_launch.graph_daemon.daemon import LONGEST_DOUBT, REPLACEMENT_TIME, Doubts
 from play_launch.graph_daemon.port import OwnerKind, PortHeldError, find_owner, stop_daemon
 from play_launch.graph_daemon.start_stop import (
     DaemonStartError,
@@ -236,11 +237,21 @@ def test_nodes_of_a_participant_that_has_ended_are_forgotten(address: DaemonAddr
     with announcing("lasting") as lasting, announcing("ghost") as dead:
         until(lambda: nodes() >= {"lasting", "ghost"}, "both nodes")
         dead.communicate(timeout=WAIT)
-        assert "ghost" in nodes()
-        until(lambda: "ghost" not in nodes(), "the end of the node")
-        until(lambda: "lasting" in nodes(), "the node that exists")
+        seen_at = time.monotonic()
+        until(lambda: time.monotonic() - seen_at > LONGEST_DOUBT - 2, "the time before the doubts")
+        assert nodes() >= {"lasting", "ghost", "announcer"}
+        # A process that is discovered late is waited for.
+        lasting.send_signal(signal.SIGSTOP)
+        text = "/ghost, /lasting may not exist any more"
+        until(lambda: text in log_path(address).read_text(), "the doubts")
+        began = time.monotonic()
+        while "ghost" in (seen := nodes()):
+            if time.monotonic() - began > REPLACEMENT_TIME + 1:
+                lasting.send_signal(signal.SIGCONT)
+            assert time.monotonic() - began < WAIT
+        lasting.send_signal(signal.SIGCONT)
+        assert seen >= {"lasting", "announcer"}
         lasting.communicate(timeout=WAIT)
-    assert "/ghost, /lasting may not exist any more" in log_path(address).read_text()
     stop_daemon(address)
     gone(started)
 
