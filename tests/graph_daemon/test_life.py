@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -221,10 +222,15 @@ def test_other_settings_are_reported_and_a_restart_takes_them(
     gone(second)
 
 
-def announcing(*names: str) -> subprocess.Popen[bytes]:
+@contextlib.contextmanager
+def announcing(*names: str) -> Iterator[subprocess.Popen[bytes]]:
     """A process that announces nodes without endpoints; `communicate` ends it in order."""
     command = [sys.executable, "-m", "tests.graph_daemon.ghost", *names]
-    return subprocess.Popen(command, stdin=subprocess.PIPE)
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
+        try:
+            yield process
+        finally:
+            process.kill()  # a stopped one, too
 
 
 def test_nodes_of_a_participant_that_has_ended_are_forgotten(address: DaemonAddress) -> None:
