@@ -218,5 +218,5 @@ class Daemon:
             participants, nameless = graph.met()
         except Exception:  # noqa: BLE001 - whatever rclpy raises; it is not waited for
             return True
-        here = participants_here(self._address.domain)
-        return Population(0, participants, here, nameless).is_complete
+        known = Population(0, participants, participants_here(self._address.domain), nameless)
+        return known.is_complete and self._service.pulse.is_quiet(time.monotonic())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -248,15 +249,16 @@ def test_nodes_of_a_participant_that_has_ended_are_forgotten(address: DaemonAddr
         assert nodes() >= {"lasting", "ghost", "announcer"}
         # A process that is discovered late is waited for.
         lasting.send_signal(signal.SIGSTOP)
-        text = "/ghost, /lasting may not exist any more"
-        until(lambda: text in log_path(address).read_text(), "the doubts")
+        doubted = re.compile("/ghost.* may not exist any more")  # often both of them
+        until(lambda: doubted.search(log_path(address).read_text()) is not None, "the doubts")
         began = time.monotonic()
         while "ghost" in (seen := nodes()):
-            if time.monotonic() - began > REPLACEMENT_TIME + 1:
+            if time.monotonic() - began > REPLACEMENT_TIME + 0.5:
                 lasting.send_signal(signal.SIGCONT)
             assert time.monotonic() - began < WAIT
         lasting.send_signal(signal.SIGCONT)
-        assert seen >= {"lasting", "announcer"}
+        assert "announcer" in seen
+        until(lambda: "lasting" in nodes(), "the node without endpoints")
         lasting.communicate(timeout=WAIT)
     stop_daemon(address)
     gone(started)
