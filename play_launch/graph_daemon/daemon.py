@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.graph_daemon.contract import IDLE_TIMEOUT, LISTENING, WARM
 from play_launch.graph_daemon.http_server import HttpServer
 from play_launch.graph_daemon.service import GraphService
-from play_launch.graph_daemon.warm_up import Population, addresses, participants_here
+from play_launch.graph_daemon.warm_up import addresses, participants_here
 from play_launch.ros.fastdds.middleware import files_here
 from play_launch.ros.fastdds.own_participant import OwnParticipant, decide
 
@@ -206,17 +206,9 @@ class Daemon:
             return
         latest = time.monotonic() + _LONGEST_REPLACEMENT
         self._ended.wait(REPLACEMENT_TIME)
-        while not self._knows_all(new) and time.monotonic() < latest:
+        while not self._service.is_settled(new) and time.monotonic() < latest:
             if self._ended.wait(_TICK):
                 break
         self._service.use(new)
         self._replacements += 1
         old.close()
-
-    def _knows_all(self, graph: RosGraph) -> bool:
-        try:
-            participants, nameless = graph.met()
-        except Exception:  # noqa: BLE001 - whatever rclpy raises; it is not waited for
-            return True
-        known = Population(0, participants, participants_here(self._address.domain), nameless)
-        return known.is_complete and self._service.pulse.is_quiet(time.monotonic())

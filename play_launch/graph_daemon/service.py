@@ -115,22 +115,23 @@ class GraphService:
 
     def check_warm(self) -> bool:
         """Release the requests about the graph when it is known well enough."""
-        now = time.monotonic()
-        complete = False
-        if self.pulse.is_quiet(now):
-            # Whatever rclpy raises, the limit ends the wait.
-            with contextlib.suppress(Exception):
-                complete = self._count_population().is_complete
-        if complete or self.pulse.is_overdue(now):
+        if self.is_settled(self.graph) or self.pulse.is_overdue(time.monotonic()):
             self._warm.set()
         return self.is_warm
+
+    def is_settled(self, graph: RosGraph) -> bool:
+        """Whether nothing changes, and this node knows all participants that should be there."""
+        # Whatever rclpy raises, a limit ends the wait for it.
+        with contextlib.suppress(Exception):
+            return self.pulse.is_quiet(time.monotonic()) and self._population_of(graph).is_complete
+        return False
 
     def population(self) -> Population:
         """Return the numbers of nodes; counted anew after a change, or after `LONGEST_COUNT`."""
         now, generation = time.monotonic(), self.generation
         known = self._counted
         if known is None or known[0] != generation or now - known[1] > LONGEST_COUNT:
-            self._counted = known = generation, now, self._count_population()
+            self._counted = known = generation, now, self._population_of(self.graph)
         return known[2]._replace(participants_here=self._participants_here())
 
     def doubtful(self) -> frozenset[tuple[str, str]]:
@@ -201,9 +202,8 @@ class GraphService:
         hold = min(HOLD * (now - asked), LONGEST_HOLD)
         self._replies[request] = _Reply(body, generation, asked, now + hold)
 
-    def _count_population(self) -> Population:
+    def _population_of(self, graph: RosGraph) -> Population:
         with self._querying:
-            own = self.graph.name
-            participants, nameless = self.graph.met()
-            nodes = sum(name != own for name, _ in self.graph.nodes())
+            participants, nameless = graph.met()
+            nodes = sum(name != graph.name for name, _ in graph.nodes())
         return Population(nodes, participants, self._participants_here(), nameless)
