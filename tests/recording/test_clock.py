@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from threading import Event
 
 import pytest
 from mcap.records import Attachment, Metadata
@@ -41,10 +42,10 @@ class Machine:
 def publish(session: Session, machine: Machine, state: NodeState) -> None:
     key = NodeKey("/c", "/n")
     event = NodeStateChanged(stamp_ns=machine.wall(), key=key, state=state, reason="SIGSEGV")
-    before = session.recorder._bag.messages
+    written = Event()
     session.recorder.publish(event)
-    while session.recorder._bag.messages == before:
-        pass
+    session.recorder.after_these(written.set)
+    assert written.wait(60)
 
 
 @pytest.mark.parametrize("steps", [(2,), (-1,), (2, -2), (3, -5, 50)], ids=str)
