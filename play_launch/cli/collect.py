@@ -42,7 +42,7 @@ def collect(
         fail(f"{folder} is no session of several machines: there is no {MACHINES}")
     from play_launch.postmortem.archive import complete_files, session_entry  # noqa: PLC0415
     from play_launch.postmortem.merge import Source, merge  # noqa: PLC0415 - slow
-    from play_launch.recording.folder import BAG_NAME, parts_of  # noqa: PLC0415
+    from play_launch.recording.folder import parts_of  # noqa: PLC0415
 
     entry = session_entry(folder)
     if entry is not None and entry.is_running:
@@ -50,14 +50,16 @@ def collect(
     complete_files(folder)
     places = _places(folder, recorded)
     missing = asyncio.run(_fetch(recorded, places))
-    sources = [Source("", [each.path for each in parts_of(folder)], [])]
+    if not (files := parts_of(folder)):
+        fail(f"{folder}: no session.mcap is in this folder")
+    sources = [Source("", files, [])]
     for about, place in zip(recorded, places, strict=True):
         name = about["machine"]
         if not place.is_dir():
             continue
         if complete_files(place):
             warn(f"{name}: its recording is not finished, and is taken as far as it goes")
-        if files := [each.path for each in parts_of(place)]:
+        if files := parts_of(place):
             sources.append(Source(name, files, [(at, ahead) for at, ahead in about["offsets"]]))
         elif name not in missing:
             warn(f"{name}: it has recorded nothing")
@@ -65,7 +67,7 @@ def collect(
     target = output or folder / COLLECTED
     # Of an earlier time: all that it held is here.
     with whole_file(target, replaces_recording=output is None) as half:
-        count = merge(folder / BAG_NAME, sources, half)
+        count = merge(sources, half)
     if as_json:
         say(json.dumps({"output": str(target), "messages": count, "missing": sorted(missing)}))
         return ExitCode.NODE_FAILED if missing else ExitCode.OK

@@ -191,7 +191,8 @@ class BagReader:
     @property
     def notes(self) -> Iterator[str]:
         """What is to be reported of a recording beside damages."""
-        if self.removed_files and len(self.files) > 1:
+        is_whole = len(self.files) > 1 or MACHINES_METADATA in self.metadata
+        if self.removed_files and is_whole:
             yield f"{self.removed_files:,} files of its beginning were removed (record.keep.size)"
         if abs(days := self.ahead_ns / _DAY) >= 1:
             way = "forward" if days > 0 else "back"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import sys
 from bisect import bisect_right
-from contextlib import ExitStack
+from contextlib import contextmanager
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -15,11 +15,15 @@ from mcap.writer import CompressionType, Writer
 
 from play_launch import UserError
 from play_launch.recording.clock import CLOCK_METADATA
-from play_launch.recording.topics import MACHINES_METADATA
+from play_launch.recording.topics import MACHINES_METADATA, PART_METADATA, REPEATED
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
+
+    from mcap.reader import McapReader
+
+    from play_launch.recording.folder import PartFile
 
 
 class MergeError(UserError):
@@ -36,7 +40,7 @@ class Source(NamedTuple):
     """A recording of one machine."""
 
     machine: str
-    files: Sequence[Path]
+    files: Sequence[PartFile]
     offsets: Sequence[tuple[int, int]]
     """Times of its clock, ascending, and by how much it was ahead of the result's then, in ns."""
 
@@ -52,43 +56,41 @@ class Source(NamedTuple):
         return first + (last - first) * (time - begin) // (end - begin)
 
 
-def merge(head: Path, sources: Sequence[Source], output: Path) -> int:
-    """Write the messages of all to a file, with the head of one, and return their number.
+def merge(sources: Sequence[Source], output: Path) -> int:
+    """Write the messages of all to a file, with the head of the first, and return their number.
 
-    The first of ``sources`` is usually that of ``head``. Log times and publish times are corrected
-    by the offsets; stamps within messages are not. Raises MergeError.
+    Log times and publish times are corrected by the offsets; stamps within messages are not.
+    Raises MergeError.
     """
-    with ExitStack() as stack:
-        file = stack.enter_context(output.open("wb"))
+    with output.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="play-launch")
-        _copy_head(stack, head, writer)
+        _copy_head(sources[0].files[0].path, writer)
         offsets = {each.machine: str(each.ahead(sys.maxsize)) for each in sources}
         writer.add_metadata(MACHINES_METADATA, offsets)
-        streams = [
-            _messages(stack, number, path, source)
-            for number, (source, path) in enumerate(
-                (source, path) for source in sources for path in source.files
-            )
-        ]
+        if removed := sum(_removed(source.files[-1].path) for source in sources):
+            writer.add_metadata(PART_METADATA, {"first": str(removed)})
         schemas: dict[tuple[str, bytes], int] = {}
         channels: dict[Any, int] = {}
+        known: dict[tuple[int, int], int] = {}
         count = 0
         for log_time, number, schema, channel, message, published in heapq.merge(
-            *streams, key=itemgetter(0, 1)
+            *_streams(sources), key=itemgetter(0, 1)
         ):
             key = (number, channel.id)
-            if key not in channels:
+            if key not in known:
                 kind = (schema.name, schema.data)
                 if kind not in schemas:
                     schemas[kind] = writer.register_schema(
                         schema.name, schema.encoding, schema.data
                     )
-                channels[key] = writer.register_channel(
-                    channel.topic, channel.message_encoding, schemas[kind], channel.metadata
-                )
+                about = (channel.topic, channel.message_encoding, schemas[kind], channel.metadata)
+                same = (*about[:-1], *sorted(channel.metadata.items()))
+                if same not in channels:
+                    channels[same] = writer.register_channel(*about)
+                known[key] = channels[same]
             writer.add_message(
-                channels[key],
+                known[key],
                 log_time,
                 message.data,
                 max(published, 0),
@@ -99,24 +101,43 @@ def merge(head: Path, sources: Sequence[Source], output: Path) -> int:
     return count
 
 
-def _messages(stack: ExitStack, number: int, path: Path, source: Source) -> Iterator[_Placed]:
-    try:
-        reader = make_reader(stack.enter_context(path.open("rb")))
-        set_by = {each.name: each.metadata for each in reader.iter_metadata()}
-        jump = int(set_by.get(CLOCK_METADATA, {}).get("ahead_ns", 0))
+def _streams(sources: Sequence[Source]) -> Iterator[Iterator[_Placed]]:
+    number = 0
+    for source in sources:
+        before = -1
+        for path, part in source.files:
+            # Of a file that is missing, the next one has the latest messages.
+            skips_repeated = part == before + 1 > 0
+            yield _messages(number, path, source, skips_repeated=skips_repeated)
+            before, number = part, number + 1
+
+
+def _messages(
+    number: int, path: Path, source: Source, *, skips_repeated: bool
+) -> Iterator[_Placed]:
+    with _opened(path) as reader:
+        jump = int(_metadata(reader).get(CLOCK_METADATA, {}).get("ahead_ns", 0))
         for schema, channel, message in reader.iter_messages():
+            if skips_repeated and message.sequence == REPEATED:
+                continue
             log_time = max(message.log_time - source.ahead(message.log_time), 0)
             late = message.publish_time - message.log_time
             # It may be from after the clock was set, which log times do not follow.
             late -= jump if abs(late - jump) < abs(late) else 0
             yield log_time, number, schema, channel, message, log_time + late
-    except (OSError, McapError) as error:
-        raise MergeError(f"{path}: {error}; `play-launch recover {path}` first") from None
 
 
-def _copy_head(stack: ExitStack, path: Path, writer: Writer) -> None:
-    try:
-        reader = make_reader(stack.enter_context(path.open("rb")))
+def _removed(path: Path) -> int:
+    with _opened(path) as reader:
+        return int(_metadata(reader).get(PART_METADATA, {}).get("first", 0))
+
+
+def _metadata(reader: McapReader) -> Mapping[str, Mapping[str, str]]:
+    return {each.name: each.metadata for each in reader.iter_metadata()}
+
+
+def _copy_head(path: Path, writer: Writer) -> None:
+    with _opened(path) as reader:
         for attachment in reader.iter_attachments():
             writer.add_attachment(
                 attachment.create_time,
@@ -126,6 +147,14 @@ def _copy_head(stack: ExitStack, path: Path, writer: Writer) -> None:
                 attachment.data,
             )
         for metadata in reader.iter_metadata():
-            writer.add_metadata(metadata.name, metadata.metadata)
+            if metadata.name != PART_METADATA:
+                writer.add_metadata(metadata.name, metadata.metadata)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[McapReader]:
+    try:
+        with path.open("rb") as file:
+            yield make_reader(file)
     except (OSError, McapError) as error:
         raise MergeError(f"{path}: {error}; `play-launch recover {path}` first") from None

@@ -35,7 +35,8 @@ MACHINES_METADATA: Final = "play_launch.machines"
 """A merged recording has it, with the nanoseconds by which each machine's recording was
 ahead at the end."""
 PART_METADATA: Final = "play_launch.part"
-"""Every file but the first has it, with its ``number`` (from 1 on)."""
+"""Every file but the first has it, with its ``number`` (from 1 on), and ``first``, as many files
+were removed at the beginning; a merged recording with those of all machines."""
 DROPS_METADATA: Final = "play_launch.topic_drops"
 """Metadata record: number of messages of each topic that are not in the bag; absent without any."""
 RESOLVED: Final = "resolved_config.json"

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from play_launch.postmortem.bag_reader import BagReader
 from play_launch.postmortem.merge import MergeError, Source, merge
+from play_launch.recording.bag import BagWriter
 from play_launch.recording.clock import CLOCK_METADATA
-from play_launch.recording.topics import MACHINES_METADATA
+from play_launch.recording.folder import PartFile, parts_of
+from play_launch.recording.topics import MACHINES_METADATA, STATES
 
 
 def recording(path: Path, topic: str, times: list[int]) -> Path:
@@ -26,11 +30,15 @@ def recording(path: Path, topic: str, times: list[int]) -> Path:
     return path
 
 
+def source(machine: str, path: Path, *offsets: tuple[int, int]) -> Source:
+    return Source(machine, [PartFile(path, 0)], offsets)
+
+
 def test_messages_come_in_the_order_of_one_clock(tmp_path: Path) -> None:
     here = recording(tmp_path / "here.mcap", "/a", [100, 300])
     there = recording(tmp_path / "there.mcap", "/b", [1150, 1350])
-    sources = [Source("", [here], []), Source("vision", [there], [(0, 1000)])]
-    assert merge(here, sources, tmp_path / "out.mcap") == 4
+    sources = [source("", here), source("vision", there, (0, 1000))]
+    assert merge(sources, tmp_path / "out.mcap") == 4
     with (tmp_path / "out.mcap").open("rb") as file:
         reader = make_reader(file)
         found = [(c.topic, m.log_time, m.publish_time) for _, c, m in reader.iter_messages()]
@@ -55,6 +63,41 @@ def test_offsets_hold_evenly_between_their_measurements() -> None:
     assert Source("", [], []).ahead(5) == 0
 
 
+def ends(reader: BagReader) -> list[bytes]:
+    return [each.data[1_000_000:] for each in reader.messages()]
+
+
+def test_several_files_become_one_and_those_that_were_removed_are_counted(tmp_path: Path) -> None:
+    """Each file begins with the latest messages of those before, which the result has once."""
+    sources, noise = [], os.urandom(1_000_000)
+    for machine in ("", "vision"):
+        (tmp_path / machine).mkdir(exist_ok=True)
+        bag = BagWriter(tmp_path / machine / "session.mcap", limit=4e6, has_index=True)
+        bag.attach("config.yaml", "application/yaml", b"name: robot", time=1)
+        states = bag.register(STATES)
+        for number in range(1, 13):
+            data = noise + str(number).encode()
+            bag.write(states, data, log_time=number, publish_time=number, key="/c")
+            bag.flush()
+        bag.close()
+        assert bag.removed_parts > 2
+        sources.append(Source(machine, parts_of(tmp_path / machine), []))
+    kept = ends(BagReader(tmp_path))
+    assert merge(sources, tmp_path / "out.mcap") == 2 * len(kept)
+
+    merged = BagReader(tmp_path / "out.mcap")
+    assert sorted(ends(merged)) == sorted(2 * kept)
+    assert (merged.damages, list(merged.attachments)) == ([], ["config.yaml"])
+    assert [each.count for each in merged.channels.values()] == [2 * len(kept)]
+    (note,) = merged.notes
+    assert note.startswith(f"{2 * bag.removed_parts} files")
+    # Of a file that is missing, the next one has the latest message.
+    sources[1].files[-2].path.unlink()
+    sources[1] = Source("vision", parts_of(tmp_path / "vision"), [])
+    merge(sources, tmp_path / "out.mcap")
+    assert sorted(ends(BagReader(tmp_path / "out.mcap"))) == sorted([*kept, kept[-1]])
+
+
 def test_publish_times_follow_no_clock_that_was_set(tmp_path: Path) -> None:
     jump, path = 400 * 86_400 * 10**9, tmp_path / "there.mcap"
     with path.open("wb") as file:
@@ -71,7 +114,7 @@ def test_publish_times_follow_no_clock_that_was_set(tmp_path: Path) -> None:
             writer.add_message(channel, log_time, b"", published)
         writer.add_metadata(CLOCK_METADATA, {"ahead_ns": str(jump)})
         writer.finish()
-    merge(path, [Source("vision", [path], [(0, 1000)])], tmp_path / "out.mcap")
+    merge([source("vision", path, (0, 1000))], tmp_path / "out.mcap")
     with (tmp_path / "out.mcap").open("rb") as file:
         found = [message.publish_time for _, _, message in make_reader(file).iter_messages()]
     assert sorted(found) == [10**12 - 1000, 10**13 - 1000, 10**13 - 1000]
@@ -82,4 +125,4 @@ def test_what_cannot_be_read_is_named_with_the_fix(tmp_path: Path) -> None:
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(here.read_bytes()[:60])
     with pytest.raises(MergeError, match=r"broken.mcap: .*; `play-launch recover"):
-        merge(here, [Source("", [broken], [])], tmp_path / "out.mcap")
+        merge([source("", here), source("vision", broken)], tmp_path / "out.mcap")
