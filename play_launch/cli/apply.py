@@ -14,7 +14,7 @@ import typer
 from play_launch import ExitCode
 from play_launch.cli import options
 from play_launch.cli.connection import connected
-from play_launch.cli.output import is_terminal, printable, report, say, wants_colour
+from play_launch.cli.output import duration, is_terminal, printable, report, say, wants_colour
 from play_launch.control.protocol import OperationError
 from play_launch.launch_files.configuration.request import Containers
 
@@ -243,7 +243,8 @@ def outcome_line(outcome: Mapping[str, Any]) -> str:
     step = outcome["step"]
     name = step["name"] or step["kind"]
     reason = f": {outcome['reason']}" if outcome["reason"] else ""
-    took = f" after {outcome['seconds']:.2f} s" if outcome["result"] != "skipped" else ""
+    seconds, is_over = outcome["seconds"], outcome["result"] != "skipped"
+    took = f" after {duration(round(seconds * 1e9))}" if is_over else ""
     return f"{name}: {step['action']} {outcome['result']}{took}{reason}"
 
 

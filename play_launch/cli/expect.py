@@ -71,7 +71,7 @@ def cells(row: dict[str, Any]) -> tuple[str, ...]:
         printable(row["topic"]),
         _STATES[row["is_met"]],
         "-" if rate is None else f"{rate:.3g} Hz",
-        "-" if gap is None else f"{gap * 1e3:.0f} ms" if gap < 1 else duration(round(gap * 1e9)),
+        "-" if gap is None else duration(round(gap * 1e9)),
         str(row["publishers"]),
         str(row["breaks"]),
         printable(row["reason"]),

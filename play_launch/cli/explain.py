@@ -172,7 +172,7 @@ def _place(place: DeclaredPlace) -> str:
 
 def _parameters(known: ParametersOfALife, at_ns: int) -> Iterator[str]:
     for each in known.changes[-_CHANGES:]:
-        yield f"Its {change(each)} {_precisely(max(0, at_ns - each.at_ns))} before."
+        yield f"Its {change(each)} {duration(max(0, at_ns - each.at_ns))} before."
     own = [f"{name} {_value(value)}" for name, value in known.values if is_of_the_node(name)]
     if own:
         yield f"Its parameters: {_names(own)}."
@@ -205,13 +205,9 @@ def _downtime(name: str, every: Sequence[Downtime]) -> str:
         return f"{name} until the end"
     at_last = "" if len(ended) == len(every) else ", at last until the end"
     if len(ended) == 1:
-        return f"{name} for {_precisely(ended[0])}{at_last}"
-    total, longest = _precisely(sum(ended)), _precisely(max(ended))
+        return f"{name} for {duration(ended[0])}{at_last}"
+    total, longest = duration(sum(ended)), duration(max(ended))
     return f"{name} {len(ended)} times, {total} in all, {longest} at most{at_last}"
-
-
-def _precisely(nanoseconds: int) -> str:
-    return f"{nanoseconds / 1e6:.0f} ms" if nanoseconds < _SECOND else duration(nanoseconds)
 
 
 def _names(names: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 from msgspec.structs import asdict
 
 from play_launch.config.node_key import NodeKey
-from play_launch.config.text import listed
+from play_launch.config.text import duration, listed
 from play_launch.process.exit import Exit
 from play_launch.recording.console_format import DEBUG, ERROR, INFO, WARN, line_level
 from play_launch.supervisor.endpoints import Endpoint
@@ -151,14 +151,14 @@ def _node(event: NodeStateChanged) -> str:
         return f"{event.node} {event.reason}"
     if event.cause in {Cause.BLOCKED, Cause.RETURNED}:
         return f"{event.node}: {event.reason}"
-    seconds = f" after {event.elapsed_ns / 1e9:.1f} s" if event.elapsed_ns else ""
+    took = duration(event.elapsed_ns) if event.elapsed_ns else ""
     again = " again" if event.reloads else ""
     pid = f", pid {event.pid}" if event.pid else ""
     match event.state:
         case NodeState.LOADED:
-            state = f"loaded{again}{seconds}{pid}"
-        case NodeState.LOADING if seconds:
-            state = f"is still loading{seconds}"
+            state = f"loaded{again}{f' in {took}' if took else ''}{pid}"
+        case NodeState.LOADING if took:
+            state = f"is still loading after {took}"
         case _:
             state = _NODE.get(event.state, event.state.value)
     return because(f"{event.node} {state}", event.reason)

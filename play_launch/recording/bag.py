@@ -372,8 +372,8 @@ class _DiskThread:
         self._period = period
         self._jobs: queue.SimpleQueue[tuple[McapFile, Callable[[], None] | None] | None]
         self._jobs = queue.SimpleQueue()
-        self._awaited: McapFile | None = None
-        """It is going to be synced with what it has now."""
+        self._awaited: set[McapFile] = set()
+        """They are going to be synced with what they have now."""
         self._failed: McapFile | None = None
         self._error: WriteFailedError | None = None
         self._closing = threading.Event()
@@ -383,8 +383,8 @@ class _DiskThread:
 
     def sync_soon(self, file: McapFile) -> None:
         """Note that a file has something new; never blocks."""
-        if self._period < math.inf and self._awaited is not file:
-            self._awaited = file
+        if self._period < math.inf and file not in self._awaited:
+            self._awaited.add(file)
             self._jobs.put((file, None))
 
     def do(self, file: McapFile, job: Callable[[], None]) -> None:
@@ -405,7 +405,7 @@ class _DiskThread:
             if job is None:
                 if self._closing.wait(self._period):
                     continue  # a job for the file follows
-                self._awaited = None
+                self._awaited.discard(file)
             try:
                 (job or file.sync)()
             except OSError as error:

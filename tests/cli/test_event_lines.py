@@ -47,7 +47,7 @@ def test_nodes_that_load_count_up() -> None:
     ]
     loaded = line(node("/c", 0, NodeState.LOADED, elapsed=0.3), *pending)
     assert loaded is not None
-    assert loaded.text == "/c/n0 loaded after 0.3 s (1/2)"
+    assert loaded.text == "/c/n0 loaded in 300 ms (1/2)"
     assert loaded.is_progress
     confirmed = line(node("/c", 0, NodeState.LOADED, reason="confirmed by status"), *pending)
     assert confirmed is not None
@@ -68,9 +68,7 @@ def test_a_slow_node_is_reported_when_it_is_told_again() -> None:
     loading: list[RunEvent] = [container("/c"), node("/c", 0, NodeState.LOADING)]
     assert line(loading[1], loading[0]) is None
     again = node("/c", 0, NodeState.LOADING, at=15, elapsed=15, reason="its constructor runs")
-    assert (
-        text(again, *loading) == "20 /c /c/n0 is still loading after 15.0 s: its constructor runs"
-    )
+    assert text(again, *loading) == "20 /c /c/n0 is still loading after 15 s: its constructor runs"
 
 
 @pytest.mark.parametrize(

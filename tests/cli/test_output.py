@@ -68,7 +68,9 @@ def test_a_closed_stream_is_no_terminal() -> None:
 @pytest.mark.parametrize(
     ("seconds", "expected"),
     [
-        (0.04, "0.0 s"),
+        (0.0004, "0 ms"),
+        (0.9994, "999 ms"),
+        (0.9996, "1.0 s"),
         (9.96, "10 s"),
         (59.6, "1 min 0 s"),
         (200, "3 min 20 s"),

@@ -125,7 +125,7 @@ def test_nodes_that_the_death_of_a_container_hit(scene: Scene, tmp_path: Path) -
     scene.node(3.5, "/a", LOADED)
     (finding,) = scene.story(tmp_path).findings
     assert (finding.kind, finding.name, finding.hit) == (Fault.DIED, "/box", ("/a", "/b"))
-    assert finding.done == ("restarted after 0.10 s",)
+    assert finding.done == ("restarted after 100 ms",)
     assert set(finding.away) == {
         Downtime("/box", SECOND),
         Downtime("/a", SECOND * 3 // 2),

@@ -112,7 +112,7 @@ def _request(timeline: Timeline, failure: Failure) -> str:
 
 
 def _done(sequels: Mapping[tuple[Sequel, int], str]) -> Iterator[str]:
-    """Word what the supervisor did: ``reloaded immediately, after 0.03 s``."""
+    """Word what the supervisor did: ``reloaded immediately, after 30 ms``."""
     for sequel, words in _DID.items():
         found = [(delay, reason) for (each, delay), reason in sequels.items() if each is sequel]
         if not found:
@@ -129,7 +129,7 @@ def _done(sequels: Mapping[tuple[Sequel, int], str]) -> Iterator[str]:
 
 
 def _after(delay_ns: int) -> str:
-    return f"after {delay_ns / 1e9:.2f} s" if delay_ns else "immediately"
+    return f"after {duration(delay_ns)}" if delay_ns else "immediately"
 
 
 def _blocked(timeline: Timeline) -> Iterator[Finding]:
