@@ -11,7 +11,7 @@ _BYTES: Final = (("TB", 10**12), ("GB", 10**9), ("MB", 10**6), ("kB", 10**3))
 
 
 def duration(nanoseconds: int) -> str:
-    """Write a duration: ``3 ms``, ``1.2 s``, ``12 s``, ``3 min 20 s``, ``2 h 5 min``, ``4 d 3 h``."""
+    """Write a duration: ``3 ms``, ``1.2 s``, ``12 s``, ``3 min 20 s``, ``2 h 5 min``."""
     seconds = nanoseconds / 1e9
     if seconds < 0.9995:
         return f"{seconds * 1000:.0f} ms"

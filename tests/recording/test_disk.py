@@ -17,7 +17,6 @@ from play_launch.container.cdr.messages import log_message
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.errors import WriteFailedError
-from play_launch.recording.folder import part_path
 from play_launch.recording.limits import RecorderLimits
 from play_launch.recording.recorder import Recorder
 from play_launch.recording.topics import OUTPUT
@@ -120,29 +119,40 @@ def test_another_file_begins_while_the_last_one_is_forced_to_the_disk(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["x.mcap", "x_1.mcap"]
 
 
-def test_a_file_is_completed_soon_however_many_there_were_before(
-    tmp_path: Path, slow_disk: SlowDisk
+def test_what_waits_for_the_disk_does_not_become_more_with_each_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    slow_disk.gate.set()
-    writer = BagWriter(tmp_path / "x.mcap", rotation=RotateConfig(size=1_000_000), sync=1e-3)
+    begun, permits = threading.Semaphore(0), threading.Semaphore(0)
+    synced: list[int] = []
+
+    def sync(descriptor: int) -> None:
+        begun.release()
+        permits.acquire()
+        synced.append(descriptor)
+
+    monkeypatch.setattr(os, "fdatasync", sync)
+    writer = BagWriter(tmp_path / "x.mcap", rotation=RotateConfig(size=100_000), sync=1e-3)
     channel = writer.register(OUTPUT)
 
-    def write(size: int) -> None:
+    def flush(size: int) -> None:
         data = log_message(1, 20, "/a", os.urandom(size).hex(), file="stdout")
         writer.write(channel, data, log_time=1, publish_time=1)
         writer.flush()
 
-    for number in range(12):
-        for _ in range(3):
-            while not slow_disk.begun.acquire(blocking=False):
-                write(1)
-        syncs = len(slow_disk.sizes)
-        while writer.parts == number + 1:
-            write(1_000_000)
-        while not part_path(tmp_path / "x.mcap", number).exists():
-            write(1)
-        # One that was due, another one that was asked for meanwhile, and that of its end.
-        assert len(slow_disk.sizes) - syncs <= 3
+    flush(1)
+    begun.acquire()  # the first one of the first file: what comes is not in it
+    flush(100_000)
+    assert writer.parts == 2
+    permits.release()
+    begun.acquire()  # the second one of the first file; one of the second file is to come
+    flush(1)
+    flush(100_000)
+    assert writer.parts == 3
+    permits.release(100)
+    while not (tmp_path / "x_1.mcap").exists():
+        time.sleep(0)
+    # Of the first file two and that of its end, of the second one and that of its end.
+    assert len(synced) == 5
     writer.close()
 
 
