@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 _LONGEST_MESSAGE: Final = 1_000_000
 """Bytes that a browser may send at once."""
+_OPENING: Final = 20
+"""Pages that were asked for and have no WebSocket yet: each takes 0.2 MB."""
+_OPENS_WITHIN: Final = 10.0
+"""Seconds that such a page stays when there are as many."""
 _CLOSING: Final = 2
 """Seconds for open requests at the end."""
 _AGAIN: Final = "2"
@@ -227,6 +231,18 @@ async def run_page(config: WebConfig, session: Path, show: Callable[[OutputLine]
     )
 
 
+def _has_room() -> bool:
+    """Whether another page may be asked for; those that never opened a WebSocket go for it."""
+    from nicegui import Client  # noqa: PLC0415
+
+    def opening() -> int:
+        return sum(not each.has_socket_connection for each in Client.instances.values())
+
+    if opening() >= _OPENING:
+        Client.prune_instances(client_age_threshold=_OPENS_WITHIN)
+    return opening() < _OPENING
+
+
 def _listen(address: ipaddress.IPv4Address | ipaddress.IPv6Address, port: int) -> socket.socket:
     family = socket.AF_INET if address.version == 4 else socket.AF_INET6
     try:
@@ -254,8 +270,8 @@ async def _serve(
     root_path: str,
 ) -> int:
     import uvicorn  # noqa: PLC0415
-    from fastapi import FastAPI, Response  # noqa: PLC0415
-    from nicegui import ui  # noqa: PLC0415
+    from fastapi import FastAPI, Request, Response  # noqa: PLC0415
+    from nicegui import app, ui  # noqa: PLC0415
 
     from play_launch.cli.web.admission import Access  # noqa: PLC0415
     from play_launch.cli.web.commands import CommandError, Commands  # noqa: PLC0415
@@ -284,9 +300,14 @@ async def _serve(
         headers = {"Refresh": _AGAIN} if watch.comes_up(name) else {}
         return Response(text, 200, headers, "text/html")
 
+    async def missing(request: Request, error: Exception) -> Response:
+        del request, error  # that of NiceGUI makes a page
+        return Response("there is no such page\n", status_code=404, media_type="text/plain")
+
+    app.add_exception_handler(404, missing)
     declare(watch, commands)
     ui.run_with(application, title="play-launch", dark=None, show_welcome_message=False)
-    guarded: Any = Access(application, rules)
+    guarded: Any = Access(application, rules, _has_room)
     config = uvicorn.Config(
         guarded,
         log_level="warning",

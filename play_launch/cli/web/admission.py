@@ -34,6 +34,7 @@ RIGHT: Final = "play_launch.right"
 _REQUESTS_PER_SECOND: Final = 50.0
 _REQUESTS_AT_ONCE: Final = 600.0
 """A page is some sixty files, and a browser fetches them at once."""
+_PAGES: Final = frozenset(("/", "/sessions"))
 _FAILURES_PER_SECOND: Final = 1.0
 _FAILURES_AT_ONCE: Final = 10.0
 _TOKEN_BYTES: Final = 24
@@ -129,9 +130,13 @@ class Refusal(Exception):  # noqa: N818 - an answer, not a failure
 class Access:
     """The application behind its rules."""
 
-    def __init__(self, application: Application, rules: Rules) -> None:
+    def __init__(
+        self, application: Application, rules: Rules, has_room: Callable[[], bool]
+    ) -> None:
+        """``has_room``: whether another page may be made, each of which takes memory."""
         self._application = application
         self._rules = rules
+        self._has_room = has_room
         self._requests = _Bucket(_REQUESTS_PER_SECOND, _REQUESTS_AT_ONCE, _REQUESTS_AT_ONCE)
         self._failures = _Bucket(_FAILURES_PER_SECOND, _FAILURES_AT_ONCE, _FAILURES_AT_ONCE)
         self._clients = 0
@@ -190,6 +195,9 @@ class Access:
             if name == b"origin" and origin.lower().partition("://")[2] != hosts[0].lower():
                 raise Refusal(403, "pages of other servers may not ask this one")
         right = self._known(token, headers, _cookie_of(scope))
+        path = str(scope["path"]).removeprefix(scope.get("root_path", ""))
+        if scope["type"] == "http" and path in _PAGES and not self._has_room():
+            raise Refusal(503, "too many pages of this session are being opened")
         return right if self._rules.allows_acting else min(right, Right.LOOK)
 
     def _is_ours(self, name: str) -> bool:

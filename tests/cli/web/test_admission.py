@@ -210,6 +210,17 @@ def test_there_are_limits() -> None:
         until(lambda: server.socket() == 101, "a place that is free again")
 
 
+def test_pages_that_are_asked_for_and_never_opened_take_no_more_memory() -> None:
+    with serving() as server:
+        until(lambda: answers(server), "the page")
+        assert {server.status("/nothing") for _ in range(30)} == {404}
+        statuses = [server.status("/sessions" if number % 2 else "/") for number in range(60)]
+        assert statuses == sorted(statuses)
+        assert 15 < statuses.count(200) <= 20
+        assert server.status("/metrics") == 200
+        until(lambda: answers(server), "the first ones to go")
+
+
 def test_a_page_that_is_never_read_loses_its_place() -> None:
     with serving("--clients", "1") as server:
         until(lambda: answers(server), "the page")
@@ -236,7 +247,7 @@ def test_a_visitor_that_leaves_is_no_error(told: str, is_error: bool) -> None:
     async def send(message: Any) -> None:
         raise AssertionError(message)
 
-    visited = Access(page, RULES)(dict(SCOPE), receive, send)
+    visited = Access(page, RULES, lambda: True)(dict(SCOPE), receive, send)
     with pytest.raises(RuntimeError) if is_error else contextlib.nullcontext():
         asyncio.run(visited)
 
@@ -256,7 +267,7 @@ def test_a_flood_of_requests_is_refused() -> None:
             seen.append(message["status"])
 
     async def flood() -> None:
-        access = Access(page, RULES)
+        access = Access(page, RULES, lambda: True)
         for _ in range(2000):
             await access(dict(SCOPE), receive, send)
 
