@@ -25,8 +25,9 @@ from play_launch.control.serve import hello_of
 from play_launch.control.server import serving
 from play_launch.deploy.machines.coordinator import Coordinator
 from play_launch.deploy.machines.hosts import HostError
+from play_launch.recording.console_format import WARN
 from play_launch.recording.folder import MACHINES, age_in
-from play_launch.recording.log_handler import log_published
+from play_launch.recording.log_handler import REPORTED_LOGGER, log_published
 from play_launch.recording.session import announce, open_session
 from play_launch.runtime.signals import RunSignals, StopRequests
 
@@ -39,8 +40,10 @@ if TYPE_CHECKING:
     from play_launch.supervisor.events import LogRecord, OutputLine
 
 _log = logging.getLogger(__name__)
-_SHOWN: Final = frozenset(("action", "log", "machine", "node", "output", "process"))
-"""Kinds of events that are printed for people: those of containers repeat their processes'."""
+_SHOWN: Final = frozenset(("action", "expectation", "machine", "output", "want", "withdrawn"))
+"""Kinds of events that are printed for people, always; see `_has_line` for others."""
+_PASSING: Final = frozenset(("pending", "requested", "loading", "unloaded"))
+"""States of a node that are to be expected, unless there is a reason."""
 
 
 class _Lines(Style[dict[str, Any]]):
@@ -55,13 +58,28 @@ class _Lines(Style[dict[str, Any]]):
             lines = [encode(event) for event in batch]
             lines += [encode({"event": "missed", "lines": missed})] if missed else []
         else:
-            kinds = _SHOWN - self._hidden
-            lines = [_text(event) for event in batch if event["event"] in kinds]
+            told = (event for event in batch if event["event"] not in self._hidden)
+            lines = [_text(event) for event in told if _has_line(event)]
             text = f"{missed} lines are missing here; the recordings have them"
             lines += [text] if missed else []
         if lines:
             sys.stdout.write("".join(f"{line}\n" for line in lines))
             sys.stdout.flush()
+
+
+def _has_line(event: dict[str, Any]) -> bool:
+    """As `event_lines.line_of`, without the view of its machine."""
+    match event["event"]:
+        case "node":
+            return event["state"] not in _PASSING or bool(event["reason"])
+        case "process":
+            return event["kind"] not in {"ready", "stopping"}
+        case "managed":
+            return event["state"] not in {"absent", "asked"}
+        case "log":
+            return bool(event["level"] >= WARN and event["name"] != REPORTED_LOGGER)
+        case kind:
+            return kind in _SHOWN
 
 
 def _text(event: dict[str, Any]) -> str:

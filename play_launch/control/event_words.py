@@ -157,7 +157,7 @@ def _node(event: NodeStateChanged) -> str:
     match event.state:
         case NodeState.LOADED:
             state = f"loaded{again}{f' in {took}' if took else ''}{pid}"
-        case NodeState.LOADING if took:
+        case NodeState.LOADING if took and event.reason:
             state = f"is still loading after {took}"
         case _:
             state = _NODE.get(event.state, event.state.value)

@@ -103,3 +103,29 @@ nodes: [{name: quick, machine: main, command: ["true"]}]
     )
     done = run("replay", config, "--log-dir", tmp_path / "logs", code=ExitCode.OK)
     assert "main has ended: its session has ended" in done.stdout + done.stderr
+
+
+def test_people_read_of_each_node_once_that_it_is_loaded(tmp_path: Path) -> None:
+    config = tmp_path / "talk.yaml"
+    config.write_text(
+        """\
+version: 1
+duration: 1 s
+machines: {main: {local: true}}
+containers:
+  - name: chat
+    machine: main
+    composable_nodes:
+      - {package: play_launch_demo, plugin: "play_launch_demo::Listener", name: listener}
+nodes: [{name: warns, machine: main, command: [bash, -c, "exit 7"]}]
+"""
+    )
+    code = ExitCode.NODE_FAILED
+    text = run("replay", config, "--log-dir", tmp_path / "logs", code=code).stdout
+    lines = [line.partition("] ")[2] for line in text.splitlines() if "[main " in line]
+    nodes = [line.partition(" in ")[0] for line in lines if "listener" in line]
+    assert nodes == ["/listener loaded"]
+    assert [line for line in lines if "status" in line] == [
+        "exited with status 7",
+        "exited with status 0",
+    ]
