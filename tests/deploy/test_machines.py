@@ -326,3 +326,13 @@ def test_a_failure_elsewhere_is_in_the_exit_code(net: Hosts, tmp_path: Path, com
         until(lambda: any(map(ended, whole.events())), "its end")
         ends.touch()
         assert whole.process.wait(60) == ExitCode.NODE_FAILED
+
+
+def test_a_unit_that_ends_all_may_end_before_its_machine_is_heard(
+    net: Hosts, tmp_path: Path
+) -> None:
+    config = system(tmp_path, "quick")
+    over = '  - {name: over, machine: h2, on_exit: shutdown, command: ["true"]}\n'
+    config.write_text(config.read_text() + over)
+    with running(net, config) as whole:
+        assert whole.process.wait(60) in {ExitCode.OK, ExitCode.NODES_MISSING}

@@ -45,7 +45,6 @@ _AGAIN: Final = 1.0  # seconds before a session that refused a request is follow
 _CLOCK_PERIOD: Final = 30.0
 _STARTS: Final = 5  # of a session that was killed, in a minute
 _REFRESH: Final = 0.3  # seconds between an event and the rows that are kept
-_ENDED: Final = "its session has ended"
 BEGUN: Final = frozenset((MachineState.CONNECTING, MachineState.STARTING, MachineState.UNREACHABLE))
 OVER: Final = frozenset((MachineState.ENDED, MachineState.FAILED))
 _UNTIL_GONE: Final = """\
@@ -129,7 +128,7 @@ class Part:
 
         Raises HostError where a person has to act, and LinkLost.
         """
-        await self._connect()
+        self._host, self._about = await connect_at_first(self.machine)
         self.take(self.config, await self.bring(self.config))
         await require_fit(self.host, self.bundle)
 
@@ -169,7 +168,7 @@ class Part:
 
         Raises HostError, LinkLost and OperationError.
         """
-        await self._connect()
+        self._host, self._about = await connect_at_first(self.machine)
         if not (link := await self._running()):
             return False
         channel = await Channel.open(self.host, link)
@@ -218,9 +217,6 @@ class Part:
         self.machine = bundle.machine
 
     # Start.
-
-    async def _connect(self) -> None:
-        self._host, self._about = await connect_at_first(self.machine)
 
     async def _running(self) -> str:
         """Return the link of a session of this part that runs already; empty if there is none."""
@@ -274,6 +270,10 @@ class Part:
                     pid = ""
                 elif status in _ENDED_WELL:
                     self.exit_code = int(status)
+                    # No event of it was heard, and an exit of such a unit ends it in any case.
+                    rules = {each.on_exit for each in self.config.nodes}
+                    rules |= {each.on_exit for each in self.config.containers}
+                    self.ends_all = "shutdown" in rules
                     return ""
                 else:
                     raise HostError(f"its session ended at once: {tail.strip()}")
@@ -284,7 +284,7 @@ class Part:
 
     async def _attach(self, link: str) -> None:
         if not link:
-            self.put(MachineState.ENDED, _ENDED)
+            self.put(MachineState.ENDED, "its session has ended")
             return
         channel = await Channel.open(self.host, link)
         channel.close()
@@ -393,13 +393,11 @@ class Part:
 
     async def _find_out_how_it_ended(self) -> None:
         """Attach to its session if it runs, else decide how it ended; raises LinkLost."""
-        if link := await self._running():
-            await self._attach(link)
-            return
         assert self._about is not None
-        if self._link not in await links_of(self.host, self._about):
-            # A session that ends in order removes its link when nothing of it runs any more.
-            self.put(MachineState.ENDED, _ENDED)
+        link = await self._running()
+        # A session that ends in order removes its link when nothing of it runs any more.
+        if link or self._link not in await links_of(self.host, self._about):
+            await self._attach(link)
             return
         self.put(MachineState.STARTING, "the supervisor of its session was killed")
         if self.machine.local or self.machine.service is Service.NONE:
