@@ -11,7 +11,7 @@ import typer
 from play_launch import ExitCode
 from play_launch.cli import options as cli_options
 from play_launch.cli.connection import connected
-from play_launch.cli.output import fail, report, say
+from play_launch.cli.output import duration, fail, report, say
 from play_launch.postmortem.diagnostics import ERROR, TOPIC, Diagnostics, reports_of
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def wait(  # noqa: PLR0917 - options, by name
         }
         say(json.dumps(values))
     elif not missing:
-        say(f"{len(up)} {condition} after {seconds:.1f} s")
+        say(f"{len(up)} {condition} after {duration(round(seconds * 1e9))}")
     if missing:
         report(f"not {condition}: {', '.join(missing)}")
         return ExitCode.TIMEOUT
