@@ -270,10 +270,6 @@ class Part:
                     pid = ""
                 elif status in _ENDED_WELL:
                     self.exit_code = int(status)
-                    # No event of it was heard, and an exit of such a unit ends it in any case.
-                    rules = {each.on_exit for each in self.config.nodes}
-                    rules |= {each.on_exit for each in self.config.containers}
-                    self.ends_all = "shutdown" in rules
                     return ""
                 else:
                     raise HostError(f"its session ended at once: {tail.strip()}")
@@ -284,6 +280,10 @@ class Part:
 
     async def _attach(self, link: str) -> None:
         if not link:
+            if not self._seen:  # no event of it: an exit of such a unit ends it in any case
+                rules = {each.on_exit for each in self.config.nodes}
+                rules |= {each.on_exit for each in self.config.containers}
+                self.ends_all = "shutdown" in rules
             self.put(MachineState.ENDED, "its session has ended")
             return
         channel = await Channel.open(self.host, link)
