@@ -25,8 +25,6 @@ constexpr milliseconds kLongestHeld{500};
 constexpr milliseconds kBetweenLooks{200};
 constexpr milliseconds kBetweenSends{50};
 constexpr seconds kBetweenReports{1};
-/// By how much messages may be taken out of order; more is a clock that was set back.
-constexpr std::uint64_t kLongestWaitNs = nanoseconds(seconds(1)).count();
 /// How long the supervisor may take to write the last chunks, and we to take what has arrived.
 constexpr seconds kLongestEnd{5};
 /// Messages of one topic before the next one's turn.
@@ -390,12 +388,10 @@ bool Recorder::take_one(RecordedTopic& topic) {
   MessageHead head;
   head.channel = topic.channel;
   head.sequence = topic.sequence;
-  head.log_time = received;
-  // Those of several publishers are not given in the order in which they arrived.
-  if (head.log_time < topic.log_time && topic.log_time - head.log_time < kLongestWaitNs) {
-    head.log_time = topic.log_time;
-  }
-  topic.log_time = head.log_time;
+  // They are not given in the order in which they arrived: one that had to be sent again is given
+  // before those that came meanwhile, and those of several publishers in any order.
+  topic.log_time = std::max(topic.log_time, received);
+  head.log_time = topic.log_time;
   head.publish_time =
       info.source_timestamp > 0 ? static_cast<std::uint64_t>(info.source_timestamp) : head.log_time;
   append(open, head, message.buffer_length);
