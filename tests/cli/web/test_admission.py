@@ -215,8 +215,8 @@ def test_pages_that_are_asked_for_and_never_opened_take_no_more_memory() -> None
         until(lambda: answers(server), "the page")
         assert {server.status("/nothing") for _ in range(30)} == {404}
         statuses = [server.status("/sessions" if number % 2 else "/") for number in range(60)]
-        assert statuses == sorted(statuses)
-        assert 15 < statuses.count(200) <= 20
+        assert set(statuses[:15]) == {200}
+        assert 503 in statuses[20:]
         assert server.status("/metrics") == 200
         until(lambda: answers(server), "the first ones to go")
 
