@@ -106,26 +106,36 @@ nodes: [{name: quick, machine: main, command: ["true"]}]
 
 
 def test_people_read_of_each_node_once_that_it_is_loaded(tmp_path: Path) -> None:
-    config = tmp_path / "talk.yaml"
+    config, ends = tmp_path / "talk.yaml", tmp_path / "ends"
     config.write_text(
-        """\
+        f"""\
 version: 1
-duration: 1 s
-machines: {main: {local: true}}
+machines: {{main: {{local: true}}}}
 containers:
   - name: chat
     machine: main
     composable_nodes:
-      - {package: play_launch_demo, plugin: "play_launch_demo::Listener", name: listener}
-nodes: [{name: warns, machine: main, command: [bash, -c, "exit 7"]}]
+      - {{package: play_launch_demo, plugin: "play_launch_demo::Listener", name: listener}}
+nodes:
+  - name: last
+    machine: main
+    on_exit: shutdown
+    command: [bash, -c, "until [ -e {ends} ]; do read -t 0.05 <> <(:); done; exit 7"]
 """
     )
-    code = ExitCode.NODE_FAILED
-    text = run("replay", config, "--log-dir", tmp_path / "logs", code=code).stdout
-    lines = [line.partition("] ")[2] for line in text.splitlines() if "[main " in line]
-    nodes = [line.partition(" in ")[0] for line in lines if "listener" in line]
+    command = (str(PROGRAM), "replay", str(config), "--log-dir", str(tmp_path / "logs"))
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as replay:
+        assert replay.stdout is not None
+        lines: list[str] = []
+        for line in replay.stdout:
+            lines.append(line)
+            if "listener loaded" in line:
+                ends.touch()
+    assert replay.returncode == ExitCode.NODE_FAILED
+    told = [line.partition("] ")[2].strip() for line in lines if "[main " in line]
+    nodes = [line.partition(" in ")[0] for line in told if "listener" in line]
     assert nodes == ["/listener loaded"]
-    assert [line for line in lines if "status" in line] == [
+    assert [line for line in told if "status" in line] == [
         "exited with status 7",
         "exited with status 0",
     ]
