@@ -9,7 +9,7 @@ import json
 import logging
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from play_launch import ExitCode
 from play_launch.cli.background import going_on
@@ -17,6 +17,7 @@ from play_launch.cli.check import describe
 from play_launch.cli.events import text_of
 from play_launch.cli.output import report, say_live
 from play_launch.cli.show.display import Screen, Style, encode
+from play_launch.cli.show.event_lines import has_line
 from play_launch.cli.systemd_unit import program
 from play_launch.config.machines import MachineConfig, used_machines
 from play_launch.control.event_words import event_object, words_of
@@ -25,9 +26,8 @@ from play_launch.control.serve import hello_of
 from play_launch.control.server import serving
 from play_launch.deploy.machines.coordinator import Coordinator
 from play_launch.deploy.machines.hosts import HostError
-from play_launch.recording.console_format import WARN
 from play_launch.recording.folder import MACHINES, age_in
-from play_launch.recording.log_handler import REPORTED_LOGGER, log_published
+from play_launch.recording.log_handler import log_published
 from play_launch.recording.session import announce, open_session
 from play_launch.runtime.signals import RunSignals, StopRequests
 
@@ -40,10 +40,6 @@ if TYPE_CHECKING:
     from play_launch.supervisor.events import LogRecord, OutputLine
 
 _log = logging.getLogger(__name__)
-_SHOWN: Final = frozenset(("action", "expectation", "machine", "output", "want", "withdrawn"))
-"""Kinds of events that are printed for people, always; see `_has_line` for others."""
-_PASSING: Final = frozenset(("pending", "requested", "loading", "unloaded"))
-"""States of a node that are to be expected, unless there is a reason."""
 
 
 class _Lines(Style[dict[str, Any]]):
@@ -59,27 +55,12 @@ class _Lines(Style[dict[str, Any]]):
             lines += [encode({"event": "missed", "lines": missed})] if missed else []
         else:
             told = (event for event in batch if event["event"] not in self._hidden)
-            lines = [_text(event) for event in told if _has_line(event)]
+            lines = [_text(event) for event in told if has_line(event)]
             text = f"{missed} lines are missing here; the recordings have them"
             lines += [text] if missed else []
         if lines:
             sys.stdout.write("".join(f"{line}\n" for line in lines))
             sys.stdout.flush()
-
-
-def _has_line(event: dict[str, Any]) -> bool:
-    """As `event_lines.line_of`, without the view of its machine."""
-    match event["event"]:
-        case "node":
-            return event["state"] not in _PASSING or bool(event["reason"])
-        case "process":
-            return event["kind"] not in {"ready", "stopping"}
-        case "managed":
-            return event["state"] not in {"absent", "asked"}
-        case "log":
-            return bool(event["level"] >= WARN and event["name"] != REPORTED_LOGGER)
-        case kind:
-            return kind in _SHOWN
 
 
 def _text(event: dict[str, Any]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import zlib
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
@@ -35,10 +35,15 @@ from play_launch.supervisor.events import (
 from play_launch.supervisor.view import is_guest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from play_launch.supervisor.view import SystemView
 
+_PASSING: Final = frozenset(
+    (NodeState.PENDING, NodeState.REQUESTED, NodeState.LOADING, NodeState.UNLOADED)
+)
+"""States of a node that are to be expected, unless there is a reason."""
+_OF_PROCESSES: Final = frozenset(("started", "waiting", "exited", "restarting", "gave_up"))
 _NAME_COLOURS: Final = tuple(f"\x1b[{code}m" for code in (36, 35, 34, 32, 96, 95, 94, 92))
 
 
@@ -124,6 +129,21 @@ def _is_node_progress(
             return False if is_running else None
         case _:
             return None
+
+
+def has_line(event: Mapping[str, Any]) -> bool:
+    """As `line_of`, for an event of another machine, of which there is no view."""
+    match event["event"]:
+        case "node":
+            return event["state"] not in _PASSING or bool(event["reason"])
+        case "process":
+            return event["kind"] in _OF_PROCESSES
+        case "managed":
+            return event["state"] not in {ManagedState.ABSENT, ManagedState.ASKED}
+        case "log":
+            return bool(event["level"] >= WARN and event["name"] != REPORTED_LOGGER)
+        case kind:
+            return kind in {"action", "expectation", "machine", "output", "want", "withdrawn"}
 
 
 def _was_stopping(name: str, view: SystemView) -> bool:

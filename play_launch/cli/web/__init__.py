@@ -231,13 +231,15 @@ async def run_page(config: WebConfig, session: Path, show: Callable[[OutputLine]
     )
 
 
-def _has_room() -> bool:
-    """Whether another page may be asked for; those that never opened a WebSocket go for it."""
+def _has_room(path: str) -> bool:
+    """Whether a path may be asked for; pages that never opened a WebSocket go for another one."""
     from nicegui import Client  # noqa: PLC0415
 
     def opening() -> int:
         return sum(not each.has_socket_connection for each in Client.instances.values())
 
+    if path not in Client.page_routes.values():
+        return True
     if opening() >= _OPENING:
         Client.prune_instances(client_age_threshold=_OPENS_WITHIN)
     return opening() < _OPENING

@@ -34,7 +34,6 @@ RIGHT: Final = "play_launch.right"
 _REQUESTS_PER_SECOND: Final = 50.0
 _REQUESTS_AT_ONCE: Final = 600.0
 """A page is some sixty files, and a browser fetches them at once."""
-_PAGES: Final = frozenset(("/", "/sessions"))
 _FAILURES_PER_SECOND: Final = 1.0
 _FAILURES_AT_ONCE: Final = 10.0
 _TOKEN_BYTES: Final = 24
@@ -131,9 +130,9 @@ class Access:
     """The application behind its rules."""
 
     def __init__(
-        self, application: Application, rules: Rules, has_room: Callable[[], bool]
+        self, application: Application, rules: Rules, has_room: Callable[[str], bool]
     ) -> None:
-        """``has_room``: whether another page may be made, each of which takes memory."""
+        """``has_room``: whether what is at a path may be made, as a page takes memory."""
         self._application = application
         self._rules = rules
         self._has_room = has_room
@@ -196,7 +195,7 @@ class Access:
                 raise Refusal(403, "pages of other servers may not ask this one")
         right = self._known(token, headers, _cookie_of(scope))
         path = str(scope["path"]).removeprefix(scope.get("root_path", ""))
-        if scope["type"] == "http" and path in _PAGES and not self._has_room():
+        if scope["type"] == "http" and not self._has_room(path):
             raise Refusal(503, "too many pages of this session are being opened")
         return right if self._rules.allows_acting else min(right, Right.LOOK)
 
