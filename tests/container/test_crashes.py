@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 import signal
 from signal import (
@@ -241,7 +242,10 @@ def test_what_cannot_be_cleaned_up_is_counted(spawn: StartContainer) -> None:
         container.event(CRASHED, unique_id=crasher.unique_id)
         container.loaded("Talker")
         assert_cleaned_up(container, crashes=1, leaked=1)
-        assert "/crasher" in container.log.read_text()
+        log = container.log.read_text()
+        assert "could not clean up after /crasher" in log
+        # Where it waited, too.
+        assert re.search(r"SIGALRM \(its limit of time is exceeded\).*; at #0 pause", log), log
 
 
 @both_modes

@@ -103,7 +103,8 @@ void test_limit_of_cpu_time() {
         return 0;
       },
       options);
-  CHECK(busy.end.signal == SIGKILL);
+  CHECK(busy.end.signal == SIGXCPU);
+  CHECK(contains(busy.text(), "limit of processor time"));
   Outcome waiting;
   run(
       waiting,
@@ -137,7 +138,8 @@ void test_limit_of_time() {
         }
       },
       {.time_limit = std::chrono::milliseconds(20)});
-  CHECK(outcome.end.signal == SIGKILL);
+  CHECK(outcome.end.signal == SIGALRM);
+  CHECK(contains(outcome.text(), "limit of time"));
 }
 
 /// A child that takes a signal for something of its own keeps it, and what the container ignores,

@@ -77,6 +77,14 @@ std::string process_name(const LoadRequest& request) {
   return name.substr(colon == std::string::npos ? 0 : colon + 2).substr(0, kThreadNameLength);
 }
 
+/// Called by the monitor alone: the reports of all nodes come from it.
+std::vector<std::string> frames_of(const isolation::CrashSlot& slot) {
+  static isolation::LookUpTime time;
+  auto frames = isolation::symbolise(slot, time.begin(isolation::LookUpTime::Clock::now()));
+  time.end(isolation::LookUpTime::Clock::now());
+  return frames;
+}
+
 /// The innermost frames, for readers that get a text only.
 std::string innermost(const std::vector<std::string>& backtrace) {
   constexpr std::size_t kMost = 6;
@@ -196,9 +204,7 @@ void ClonedNode::name_owner() {
 void ClonedNode::symbolise() {
   if (!backtrace_) {
     name_owner();
-    static isolation::LookUpTime time;  // of the monitor: the reports of all nodes come from it
-    backtrace_ = isolation::symbolise(slot_, time.begin(isolation::LookUpTime::Clock::now()));
-    time.end(isolation::LookUpTime::Clock::now());
+    backtrace_ = frames_of(slot_);
   }
 }
 
@@ -235,7 +241,8 @@ bool ClonedNode::is_cleaned_up() {
   } else if (cleanup_end_.error != 0) {
     why = "cannot start a process for that: " + std::generic_category().message(cleanup_end_.error);
   } else if (cleanup_end_.signal != 0) {
-    why = isolation::describe_end(cleanup_end_, cleanup_slot_);
+    why =
+        isolation::describe_end(cleanup_end_, cleanup_slot_) + innermost(frames_of(cleanup_slot_));
   }
   if (domain_) {
     domain_->keep_memory();

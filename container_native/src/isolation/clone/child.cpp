@@ -85,10 +85,11 @@ void enter(const Launch& launch) noexcept {
   launch.alternate_stack.use();
   install_crash_handlers();
   if (record.options.time_limit.count() > 0) {
-    signal_self_after(record.options.time_limit, SIGKILL);
+    signal_self_after(record.options.time_limit, SIGALRM, &record);
+    signal_self_after(2 * record.options.time_limit, SIGKILL);  // signals may be blocked by then
   }
   if (record.options.cpu_limit.count() > 0) {
-    signal_self_after(record.options.cpu_limit, SIGKILL, nullptr, CLOCK_PROCESS_CPUTIME_ID);
+    signal_self_after(record.options.cpu_limit, SIGXCPU, &record, CLOCK_PROCESS_CPUTIME_ID);
   }
   if (record.options.key_rights != 0) {
     assume_rights(record.options.key_rights);  // threads that it starts begin with them

@@ -105,6 +105,8 @@ struct CodeText {
 /// SYS_SECCOMP, which not every C library names.
 constexpr int kBySeccomp = 1;
 
+constexpr const char* kCpuLimitExceeded = "its limit of processor time is exceeded";
+
 /// What the kernel says about a fault, beside its address.
 constexpr std::array kCodes{
     CodeText{SIGSEGV, SEGV_MAPERR, "no memory"},
@@ -122,9 +124,16 @@ constexpr std::array kCodes{
     CodeText{SIGSYS, kBySeccomp, "system call that is not allowed"},
 };
 
-std::string describe_fault(const CrashReport& report) {
-  if (report.code == SI_TIMER) {
+std::string describe_fault(const CrashSlot& slot) {
+  const CrashReport& report = slot.report;
+  if (report.code == SI_TIMER && slot.stop_signal != 0) {
     return "it did not leave in time after the signal";
+  }
+  if (report.code == SI_TIMER && report.signal == SIGALRM) {
+    return "its limit of time is exceeded";
+  }
+  if (report.code == SI_TIMER && report.signal == SIGXCPU) {
+    return kCpuLimitExceeded;
   }
   if (report.exception_type[0] != '\0') {
     const std::string text = report.exception_text.data();
@@ -141,7 +150,7 @@ std::string describe_fault(const CrashReport& report) {
       case SIGTRAP:
         return "breakpoint at address " + hex(report.program_counter);
       case SIGXCPU:
-        return "its limit of processor time is exceeded";
+        return kCpuLimitExceeded;
       case SIGXFSZ:
         return "its limit of file size is exceeded";
       default:
@@ -166,18 +175,18 @@ std::string describe_fault(const CrashReport& report) {
   return "code " + std::to_string(report.code) + " at address " + hex(report.fault_address);
 }
 
-std::string describe_crash(const CrashReport& report) {
-  return signal_name(report.signal) + " (" + describe_fault(report) + ") in thread '" +
-         report.thread_name.data() + "'";
+std::string describe_crash(const CrashSlot& slot) {
+  return signal_name(slot.report.signal) + " (" + describe_fault(slot) + ") in thread '" +
+         slot.report.thread_name.data() + "'";
 }
 
 std::string describe_signal(const ChildEnd& end, const CrashSlot& slot) {
   if (slot.thread != 0 && slot.report.signal == end.signal) {
-    return describe_crash(slot.report);
+    return describe_crash(slot);
   }
   std::string text = signal_name(end.signal);
   if (slot.thread != 0) {
-    text += "; before that " + describe_crash(slot.report) +
+    text += "; before that " + describe_crash(slot) +
             (slot.phase == ChildPhase::crashed ? ", whose handler did not come to its end" : "");
   } else if (slot.stop_signal == end.signal) {
     text += " (sent by process " + std::to_string(slot.stop_sender) + ")";

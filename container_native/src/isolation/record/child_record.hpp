@@ -58,7 +58,8 @@ class ChildProgram {
 struct ChildOptions {
   /// What `ps` and `top` show; cut after 15 bytes.
   std::string_view name = "node";
-  /// SIGKILL after so long, and after so much CPU time of all its threads. Zero: no limit.
+  /// After so long it dies of SIGALRM, after so much CPU time of all its threads of SIGXCPU, as of
+  /// a fault: its report says where it was. Zero: no limit.
   std::chrono::milliseconds time_limit{0};
   std::chrono::milliseconds cpu_limit{0};
   /// From a signal that asks the child to leave (SIGTERM, SIGINT, or any crash signal that another
