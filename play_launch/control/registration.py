@@ -164,13 +164,22 @@ def is_registered(link: RegisteredSession) -> bool:
 
 def is_alive(link: RegisteredSession) -> bool:
     """Whether the process that registered the session runs, in this PID namespace."""
+    return _state(link) not in {None, *_EXITED}
+
+
+def is_stopped(link: RegisteredSession) -> bool:
+    """Whether a signal stopped that process, as Ctrl-Z does."""
+    return _state(link) == b"T"
+
+
+def _state(link: RegisteredSession) -> bytes | None:
     if not is_local(link):
-        return False
+        return None
     try:
         state, start_time = _stat(link.pid)
     except (FileNotFoundError, ProcessLookupError):
-        return False
-    return start_time == link.start_time and state not in _EXITED
+        return None
+    return state if start_time == link.start_time else None
 
 
 def is_local(link: RegisteredSession) -> bool:

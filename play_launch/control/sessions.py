@@ -21,6 +21,7 @@ from play_launch.control.registration import (
     is_alive,
     is_local,
     is_registered,
+    is_stopped,
     registered,
     registered_by_others,
 )
@@ -200,7 +201,8 @@ def _found(
     except OperationError as error:  # something listens
         return SessionAnswer(link, None, None, error, is_alive=True, has_exited=False)
     except TimeoutError:
-        problem = OperationError(Code.TIMEOUT, f"the session in {link.folder} does not answer")
+        text = f"the session in {link.folder} does not answer{_of_stopped(link.folder)}"
+        problem = OperationError(Code.TIMEOUT, text)
         return SessionAnswer(link, None, None, problem, is_alive=True, has_exited=False)
     except (OSError, EOFError) as error:
         return _without_session(link, _explained(link.folder, error))
@@ -212,6 +214,16 @@ def _found(
         except OperationError:
             pass
     return SessionAnswer(link, client, answer, None, is_alive=True, has_exited=False)
+
+
+def _of_stopped(folder: str) -> str:
+    for link in registered():
+        if is_stopped(link) and os.path.realpath(link.folder) == os.path.realpath(folder):
+            return (
+                f": a signal stopped its process {link.pid}, as Ctrl-Z does; fg in its shell, or "
+                f"kill -CONT {link.pid}, continues it"
+            )
+    return ""
 
 
 def _client_of(found: SessionAnswer) -> ControlClient:

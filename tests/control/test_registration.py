@@ -191,6 +191,19 @@ def test_of_one_name_the_session_that_answers_is_not_chosen(session: Callable[..
     assert f"the session in {silent} does not answer" in str(refused.value)
 
 
+def test_a_session_that_ctrl_z_stopped_is_told_as_such(session: Callable[..., Path]) -> None:
+    folder = session("robot", 0)
+    (link,) = registered()
+    os.kill(link.pid, signal.SIGSTOP)
+    os.waitid(os.P_PID, link.pid, os.WSTOPPED)
+    for named in (None, str(folder)):
+        with pytest.raises(OperationError, match=f"kill -CONT {link.pid}, continues it"):
+            connect(named, limit=0.2)
+    os.kill(link.pid, signal.SIGCONT)
+    with pytest.raises(OperationError, match=r"does not answer$"):
+        connect(limit=0.2)
+
+
 def test_a_silent_session_of_another_name_delays_no_command(session: Callable[..., Path]) -> None:
     session("arm", 0)
     base = session("base")
