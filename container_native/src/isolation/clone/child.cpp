@@ -35,6 +35,8 @@ struct Launch {
 constexpr int kExitOrphaned = 125;
 constexpr int kExitKeptOut = 126;
 constexpr int kExitStatusMask = 0xff;
+/// For dying of the signal that its time is over, which it may have blocked.
+constexpr std::chrono::milliseconds kHearingLimit{1000};
 
 /// The child has a copy of the container's actions, which would act on the container's memory.
 void forget_signal_actions() noexcept {
@@ -86,7 +88,7 @@ void enter(const Launch& launch) noexcept {
   install_crash_handlers();
   if (record.options.time_limit.count() > 0) {
     signal_self_after(record.options.time_limit, SIGALRM, &record);
-    signal_self_after(2 * record.options.time_limit, SIGKILL);  // signals may be blocked by then
+    signal_self_after(record.options.time_limit + kHearingLimit, SIGKILL);
   }
   if (record.options.cpu_limit.count() > 0) {
     signal_self_after(record.options.cpu_limit, SIGXCPU, &record, CLOCK_PROCESS_CPUTIME_ID);
