@@ -43,8 +43,8 @@ def check(  # noqa: PLR0917 - options, by name
     """Find mistakes in a configuration; start nothing.
 
     Each mistake is reported as `file:line:column: path: message`. Exits with 2 if there is one,
-    with 1 if --explain finds a process that cannot be started. --json prints the problems and the
-    resolved configuration.
+    with 1 if --explain finds what cannot be started or loaded. --json prints the problems and
+    the resolved configuration.
     """
     from play_launch.config.load import load_config  # noqa: PLC0415
     from play_launch.config.problems import ConfigError  # noqa: PLC0415
@@ -97,10 +97,11 @@ def check(  # noqa: PLR0917 - options, by name
     if not as_json:
         for text in notes:
             warn(text)
-    problems = [each for each in started if each["problem"]]
-    for each in problems:
-        report(f"{each['name']} ({each['place']}) cannot be started: {each['problem']}")
-    return ExitCode.NODE_FAILED if problems else ExitCode.OK
+    failing = [(each, "started") for each in started if each["problem"]]
+    failing += [(each, "loaded") for one in started for each in one.get("unloadable", ())]
+    for each, what in failing:
+        report(f"{each['name']} ({each['place']}) cannot be {what}: {each['problem']}")
+    return ExitCode.NODE_FAILED if failing else ExitCode.OK
 
 
 def part(config: ReplayConfig, machine: str) -> ReplayConfig:

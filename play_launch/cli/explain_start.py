@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import shlex
@@ -12,12 +13,14 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from msgspec.structs import replace
 
 from play_launch.config.model import ContainerConfig
+from play_launch.config.substitutions import ament_prefixes
 from play_launch.container.channel import CONTROL_FD_VARIABLE
 from play_launch.container.command import (
     Command,
-    ExecutableNotFoundError,
     Machine,
+    NotInPackageError,
     allocator_for,
+    component_library,
     container_command,
     is_own,
     process_command,
@@ -57,12 +60,15 @@ class _Process(NamedTuple):
     """Why `consolidate` gives it no process with others; None: it was not asked for."""
     shared: SharedKey | None = None
     """Identifies the process that it shares."""
+    unloadable: tuple[dict[str, str], ...] = ()
+    """Its components that are not installed: name, place, problem."""
 
 
 def processes(config: ReplayConfig) -> list[dict[str, Any]]:
     """Give each process that `replay` starts, without secrets, as values for JSON.
 
-    What cannot be started has a ``problem``. Mistakes of the installation end the process.
+    What cannot be started has a ``problem``, and containers of components that are not installed
+    have them in ``unloadable``. Mistakes of the installation end the process.
     """
     ros = ros_installation()
     container, recorder = component_container(), topic_recorder()
@@ -123,9 +129,12 @@ def _member(
             command = container_command(config, machine, file, ask=ask)
         else:
             command = process_command(config, machine, file)
-    except (ParameterFileError, ExecutableNotFoundError, ValueError) as error:
+    except (ParameterFileError, NotInPackageError, ValueError) as error:
         return process._replace(problem=str(error))
     variables = {MEMBER_VARIABLE: mark_for("(pid)", config.full_name)}
+    if isinstance(config, ContainerConfig):
+        prefixes = tuple(ament_prefixes(command.environment))
+        process = process._replace(unloadable=tuple(_unloadable(config, prefixes)))
     if isinstance(config, ContainerConfig) and is_own(config):
         variables[CONTROL_FD_VARIABLE] = _DESCRIPTOR
         process = process._replace(shared=shares.get(config.full_name))
@@ -137,6 +146,22 @@ def _member(
     except SpawnError as error:
         process = process._replace(problem=str(error))
     return process._replace(command=command, parameter_file=text)
+
+
+def _unloadable(config: ContainerConfig, prefixes: tuple[Path, ...]) -> Iterator[dict[str, str]]:
+    for node in config.composable_nodes:
+        if problem := _component_problem(node.package, node.plugin, prefixes):
+            place = f"{node.file}:{node.line}"
+            yield {"name": node.declared_full_name, "place": place, "problem": problem}
+
+
+@functools.cache
+def _component_problem(package: str, plugin: str, prefixes: tuple[Path, ...]) -> str:
+    try:
+        component_library(package, plugin, prefixes)
+    except NotInPackageError as error:
+        return str(error)
+    return ""
 
 
 def _values(
@@ -164,6 +189,7 @@ def _values(
         "emulate_tty": command.emulate_tty,
         "resources": command.resources.described(),
         "parameter_file": without(process.parameter_file, secrets),
+        "unloadable": process.unloadable,
     }
 
 
@@ -190,6 +216,8 @@ def _lines(process: Mapping[str, Any]) -> Iterator[str]:
         yield _remark(f"cannot be started: {process['problem']}")
     if "argv" not in process:
         return
+    for each in process["unloadable"]:
+        yield _remark(f"cannot load {each['name']}: {each['problem']}")
     if others := process.get("shares_process_with"):
         yield _remark(f"has one process with {', '.join(others)} (consolidate)")
         yield _remark("  what poisons it, such as a lock of a dead node, ends all of them")

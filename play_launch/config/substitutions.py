@@ -20,7 +20,7 @@ from play_launch.config.model import TakenValues
 from play_launch.config.problems import KNOWN, excerpt
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
 DEEPEST_DEFAULT: Final = 10
 """Substitutions inside the default of one another."""
@@ -46,12 +46,23 @@ def ament_prefixes(environ: Mapping[str, str]) -> list[Path]:
     ]
 
 
+def package_prefix(package: str, prefixes: Iterable[Path]) -> Path | None:
+    """Find the first prefix where the package is installed, as ROS does."""
+    marker = Path("share/ament_index/resource_index/packages", package)
+    return next((prefix for prefix in prefixes if (prefix / marker).is_file()), None)
+
+
 def share_folder(package: str, environ: Mapping[str, str] = os.environ) -> Path | None:
-    """Find the share folder of a package as ROS does; our own prefix first."""
-    for prefix in (Path(sys.prefix), *ament_prefixes(environ)):
-        if (prefix / "share/ament_index/resource_index/packages" / package).is_file():
-            return prefix / "share" / package
-    return None
+    """Find the share folder of a package; our own prefix first."""
+    prefix = package_prefix(package, (Path(sys.prefix), *ament_prefixes(environ)))
+    return prefix and prefix / "share" / package
+
+
+def not_installed(package: str) -> str:
+    return (
+        f"package {package} is not installed: no prefix in AMENT_PREFIX_PATH has it; "
+        "install it, or source its workspace"
+    )
 
 
 class Inputs(Struct, frozen=True):
@@ -94,10 +105,7 @@ class InputsUsed:
         if package not in self._packages:
             folder = self._inputs.find_share(package)
             if folder is None:
-                raise PackageMissingError(
-                    f"no package {package} is installed: none of the prefixes in "
-                    f"AMENT_PREFIX_PATH has it, nor has {sys.prefix}; source its workspace"
-                )
+                raise PackageMissingError(not_installed(package))
             self._packages[package] = str(folder)
         return self._packages[package]
 

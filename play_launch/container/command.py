@@ -16,7 +16,8 @@ from msgspec.structs import replace
 
 from play_launch.config.model import ContainerType, Isolation, MemoryDomains, OnExit
 from play_launch.config.resources import NO_LIMITS, NO_RESOURCES, Resources
-from play_launch.config.substitutions import ament_prefixes
+from play_launch.config.substitutions import ament_prefixes, not_installed, package_prefix
+from play_launch.config.text import listed, similar
 from play_launch.container.environment import (
     Allocator,
     child_environment,
@@ -28,7 +29,7 @@ from play_launch.container.environment import (
 from play_launch.container.ros import RosInstallation  # noqa: TC001 - as above
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from play_launch.config.model import (
         ComposableNodeConfig,
@@ -38,17 +39,8 @@ if TYPE_CHECKING:
     )
 
 
-class ExecutableNotFoundError(Exception):
-    """A package has no such executable in any prefix of AMENT_PREFIX_PATH."""
-
-    def __init__(self, package: str, executable: str, prefixes: Sequence[Path]) -> None:
-        searched = ", ".join(map(str, prefixes)) or "nothing, AMENT_PREFIX_PATH is empty"
-        super().__init__(
-            f"package {package} has no executable {executable}: there is no "
-            f"lib/{package}/{executable} in the prefixes searched ({searched})"
-        )
-        self.package = package
-        self.executable = executable
+class NotInPackageError(Exception):
+    """No prefix of AMENT_PREFIX_PATH has a package, or the executable or component in it."""
 
 
 _CONTAINER_SHARE: Final = 0.6
@@ -188,24 +180,45 @@ def find_executable(package: str, executable: str, prefixes: Sequence[Path]) -> 
     """Find `<prefix>/lib/<package>/<executable>` as `ros2 run` does; the first prefix wins.
 
     Raises:
-        ExecutableNotFoundError: When no prefix has it.
+        NotInPackageError: When no prefix has it.
     """
-    for prefix in prefixes:
-        path = prefix / "lib" / package / executable
-        if path.is_file() and os.access(path, os.X_OK):
-            return path
-    raise ExecutableNotFoundError(package, executable, prefixes)
+    folders = [prefix / "lib" / package for prefix in prefixes]
+    for folder in folders:
+        if _is_executable(folder / executable):
+            return folder / executable
+    known = {path.name for each in folders for path in each.glob("*") if _is_executable(path)}
+    raise _not_in(package, prefixes, "executable", executable, known)
+
+
+def _is_executable(path: Path) -> bool:
+    return path.is_file() and os.access(path, os.X_OK)
+
+
+def _not_in(
+    package: str, prefixes: Iterable[Path], kind: str, name: str, known: Collection[str]
+) -> NotInPackageError:
+    prefix = package_prefix(package, prefixes)
+    if not known and prefix is None:
+        return NotInPackageError(not_installed(package))
+    home = f"package {package} in {prefix}" if prefix else f"package {package}"
+    if not known:
+        return NotInPackageError(f"{home} has no {kind}s")
+    close = similar(name, known)
+    hint = f"did you mean {close}?" if close else f"it has {listed(sorted(known), 10)}"
+    return NotInPackageError(f"{home} has no {kind} {name}; {hint}")
 
 
 _INDEXES: Final = ("play_launch_components", "rclcpp_components")
 """Types of the ament resources that list components, a line each: `class;library`."""
 
 
-def component_library(package: str, plugin: str, prefixes: Iterable[Path]) -> Path | None:
-    """Find the library of a component in the ament index; None if no index names it.
+def component_library(package: str, plugin: str, prefixes: Sequence[Path]) -> Path:
+    """Find the library of a component in the ament index; the first prefix wins. Reads files.
 
-    Reads files. The first prefix that has the package wins.
+    Raises:
+        NotInPackageError: When no index names it.
     """
+    known = set()
     for prefix in prefixes:
         for index in _INDEXES:
             path = prefix / "share" / "ament_index" / "resource_index" / index / package
@@ -217,7 +230,8 @@ def component_library(package: str, plugin: str, prefixes: Iterable[Path]) -> Pa
                 name, _, library = line.strip().partition(";")
                 if name == plugin and library:
                     return prefix / library
-    return None
+                known.add(name)
+    raise _not_in(package, prefixes, "component", plugin, known)
 
 
 def remap_rules(remappings: Iterable[tuple[str, str]]) -> tuple[str, ...]:
@@ -255,7 +269,7 @@ def container_command(
     Parameters for nodes that are made in it are in the file, if there are any.
 
     Raises:
-        ExecutableNotFoundError: When a stock container's program is not there.
+        NotInPackageError: When a stock container's program is not there.
     """
     environment = container_environment(config, machine)
     if config.container_type is ContainerType.STOCK:
@@ -320,7 +334,7 @@ def process_command(
     """Make the command of an ordinary node; its parameters are in the file, if it has any.
 
     Raises:
-        ExecutableNotFoundError: When its package has no such executable.
+        NotInPackageError: When its package has no such executable.
         ValueError: When it has neither a command nor an executable.
     """
     environment = child_environment(machine.environment, machine.ros, config.environment)

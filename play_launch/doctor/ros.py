@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.config.substitutions import ament_prefixes
 from play_launch.container.channel import CONTROL_FD_VARIABLE, ControlChannel
 from play_launch.container.codec import ControlError
-from play_launch.container.command import ExecutableNotFoundError, find_executable
+from play_launch.container.command import NotInPackageError, find_executable
 from play_launch.container.environment import (
     FIX,
     allocating_with,
@@ -194,7 +194,7 @@ def _middleware(rmw: str, ros: RosInstallation, environ: Mapping[str, str]) -> C
 def _stock_container(prefixes: list[Path]) -> CheckResult:
     try:
         program = find_executable("rclcpp_components", "component_container", prefixes)
-    except ExecutableNotFoundError:
+    except NotInPackageError:
         return warn(
             "stock containers",
             "rclcpp_components is not in AMENT_PREFIX_PATH",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.source import Refused, read_bytes
-from play_launch.config.substitutions import share_folder
+from play_launch.config.substitutions import not_installed, share_folder
 from play_launch.launch_files.records import LaunchFileError
 
 if TYPE_CHECKING:
@@ -37,8 +37,7 @@ def find(words: list[str]) -> Path:
     package, name = words
     share = share_folder(package)
     if share is None:
-        why = f"no package {package} is installed: none of the prefixes in AMENT_PREFIX_PATH has it"
-        raise LaunchFileError(f"{why}; source its workspace")
+        raise LaunchFileError(not_installed(package))
     found = sorted(_named(share, name))
     if not found:
         raise LaunchFileError(f"{package} has no launch file {name}{_others(share)}")

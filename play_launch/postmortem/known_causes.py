@@ -52,7 +52,7 @@ KNOWN_CAUSES: Final = (
         "missing_library",
         re.compile(
             r"cannot open shared object file(?!\): ignored)|no components in the ament index"
-            r"|has no component '|does not exist: \S+\.so|no such library"
+            r"|does not exist: \S+\.so|no such library"
         ),
         "a library is missing",
         "install the package, or add its prefix to AMENT_PREFIX_PATH or LD_LIBRARY_PATH",

@@ -19,8 +19,8 @@ from play_launch.config.substitutions import ament_prefixes
 from play_launch.container.cdr.structure import definitions
 from play_launch.container.channel import CONTROL_FD_VARIABLE, ControlChannel
 from play_launch.container.command import (
-    ExecutableNotFoundError,
     Machine,
+    NotInPackageError,
     allocator_for,
     component_library,
     container_command,
@@ -319,8 +319,10 @@ class NativeLauncher:
     async def library_of(self, container: ContainerConfig, node: ComposableNodeConfig) -> str:
         """Find the library in the ament index that the container uses; empty: it has none."""
         prefixes = ament_prefixes(container_environment(container, self._machine))
-        find = partial(component_library, node.package, node.plugin, prefixes)
-        return str(await in_a_thread(find) or "")
+        with suppress(NotInPackageError):
+            find = partial(component_library, node.package, node.plugin, prefixes)
+            return str(await in_a_thread(find))
+        return ""
 
     async def start_probe(
         self, container: ContainerConfig, node: ComposableNodeConfig, on_output: OutputCallback
@@ -401,7 +403,7 @@ async def _made(make: Callable[[], Command]) -> Command:
     """Make a command, for which programs are looked up; raises StartError."""
     try:
         return await in_a_thread(make)
-    except (ExecutableNotFoundError, ParameterFileError, ValueError) as error:
+    except (NotInPackageError, ParameterFileError, ValueError) as error:
         raise StartError(str(error), permanent=True) from error
     except OSError as error:
         raise StartError(str(error.strerror), permanent=error.errno in _LASTING) from error

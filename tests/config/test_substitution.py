@@ -32,7 +32,7 @@ ARGUMENTS = {"rate": "10.0", "side": "left", "empty": ""}
 
 def share(package: str) -> str:
     if package == "nowhere":
-        raise SubstitutionError("no package nowhere is installed")
+        raise SubstitutionError("package nowhere is not installed")
     return f"/opt/share/{package}"
 
 
@@ -91,7 +91,7 @@ def test_what_it_stands_for(text: str, result: str) -> None:
         ("$(find-pkg-shar demo)", "write $(find-pkg-share package)"),
         ("$(find_pkg_share demo)", "write $(find-pkg-share package)"),
         ("$(find-pkg-share)", "expected $(find-pkg-share package)"),
-        ("$(find-pkg-share nowhere)", "no package nowhere"),
+        ("$(find-pkg-share nowhere)", "package nowhere is not installed"),
         ("$(find-pkg-share de/mo)", "expected"),
         ("${arg:a:-" * (DEEPEST_DEFAULT + 1) + "}" * (DEEPEST_DEFAULT + 1), "deeper"),
     ],
@@ -284,4 +284,4 @@ def test_packages_are_found_in_the_index(tmp_path: Path, monkeypatch: pytest.Mon
     assert config.nodes[0].parameters[0].name == "rate"
     assert config.taken.packages == {"demo": str(folder)}
     (problem,) = problems(f"{NODE}  name: $(find-pkg-share other)\n")
-    assert "no package other is installed" in problem
+    assert "package other is not installed" in problem

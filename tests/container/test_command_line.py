@@ -71,8 +71,9 @@ def test_an_initialiser_that_exits() -> None:
 @pytest.mark.parametrize(
     ("package", "plugin", "error"),
     [
-        ("play_launch_nowhere", "x::Y", "package 'play_launch_nowhere' has no components"),
+        ("play_launch_nowhere", "x::Y", "package 'play_launch_nowhere' is not installed"),
         ("play_launch_demo", "x::Y", "has no component 'x::Y'"),
+        ("std_msgs", "x::Y", "registers no components"),
         ("play_launch_broken", "play_launch_broken::MissingSymbol", "undefined symbol"),
         ("play_launch_broken", "play_launch_broken::MissingLibrary", "cannot open shared object"),
     ],

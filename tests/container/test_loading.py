@@ -44,7 +44,7 @@ def test_many_loads_at_once(spawn: StartContainer, package: str, mode: str) -> N
 
 Failure = tuple[str, dict[str, Any], list[str]]
 FAILURES: list[Failure] = [
-    ("Absent", {"package": "no_such_package"}, ["'no_such_package' has no components"]),
+    ("Absent", {"package": "no_such_package"}, ["'no_such_package' is not installed"]),
     ("Absent", {}, ["Absent", "{package}::Talker"]),
     ("ThrowingConstructor", {}, ["camera"]),
     ("Talker", {"parameters": {"rate": "fast"}}, ["rate"]),

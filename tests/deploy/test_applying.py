@@ -124,7 +124,7 @@ def test_a_machine_has_packages_and_variables_of_its_own(net: Hosts, tmp_path: P
     assert "h3: 1 container with 1 node, 2 processes" in net.run("check", str(config)).stdout
     assert net.run("check", "--machine", "main", str(config)).returncode == 0
     there = net.run("check", "--machine", "h3", str(config))
-    assert "no package only_there is installed" in there.stderr
+    assert "package only_there is not installed" in there.stderr
     with running(net, config) as own:
         own.loaded()
         until(lambda: f"hello robot {share}/only_there" in own.ask("logs", "hello"), "its line")
@@ -134,7 +134,7 @@ def test_a_machine_has_packages_and_variables_of_its_own(net: Hosts, tmp_path: P
         config.write_text(
             config.read_text().replace("machine: h3\n    package", "machine: h2\n    package")
         )
-        assert "no package only_there is installed" in own.ask("apply", str(config), code=2)
+        assert "package only_there is not installed" in own.ask("apply", str(config), code=2)
         own.stop()
 
 

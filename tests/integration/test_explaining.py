@@ -262,7 +262,7 @@ def test_what_cannot_be_started_is_named_and_the_rest_explained(tmp_path: Path) 
     path.write_text(json.dumps({"version": 1, "nodes": nodes}), encoding="utf-8")
     result = explain(path, "--json", code=1)
     told = {each["name"]: each for each in json.loads(result.stdout)["processes"]}
-    assert "has no executable it" in told["/absent"]["problem"]
+    assert "package nobody_has_this is not installed" in told["/absent"]["problem"]
     assert str(tmp_path / "missing") in told["/nowhere"]["problem"]
     assert "no such program in PATH" in told["/unknown"]["problem"]
     assert told["/unknown"]["argv"][0] == "no_such_program"
@@ -270,3 +270,28 @@ def test_what_cannot_be_started_is_named_and_the_rest_explained(tmp_path: Path) 
     text = explain(path, code=1)
     assert f"/absent ({path}:1) cannot be started" in text.stderr
     assert shlex.join(told["/fine"]["argv"]) in text.stdout
+
+
+def test_components_that_are_not_installed_are_named(tmp_path: Path) -> None:
+    components = [
+        ("play_launch_demo", "play_launch_demo::Talker"),
+        ("play_launch_demo", "play_launch_demo::Talkr"),
+        ("std_msgs", "std_msgs::Talker"),
+        ("nobody_has_this", "nobody_has_this::Talker"),
+    ]
+    nodes = [
+        {"name": f"n{number}", "package": package, "plugin": plugin}
+        for number, (package, plugin) in enumerate(components)
+    ]
+    path = tmp_path / "missing.yaml"
+    container = {"name": "box", "composable_nodes": nodes}
+    path.write_text(json.dumps({"version": 1, "containers": [container]}), encoding="utf-8")
+    result = explain(path, "--json", code=1)
+    (told, *_) = json.loads(result.stdout)["processes"]
+    problems = {each["name"]: each["problem"] for each in told["unloadable"]}
+    assert problems.keys() == {"/n1", "/n2", "/n3"}
+    assert problems["/n1"].endswith("did you mean play_launch_demo::Talker?")
+    assert problems["/n2"] == f"package std_msgs in {sys.prefix} has no components"
+    assert problems["/n3"].startswith("package nobody_has_this is not installed")
+    for name, problem in problems.items():
+        assert f"{name} ({path}:1) cannot be loaded: {problem}" in result.stderr

@@ -105,7 +105,7 @@ def test_a_program_that_is_not_there_is_said_at_once(tmp_path: Path) -> None:
     )
     result = run("replay", config, "--log-dir", tmp_path)
     assert result.returncode == 1
-    assert "package nobody_has_this has no executable component_container" in result.stdout
+    assert "package nobody_has_this is not installed" in result.stdout
 
 
 THEIRS = {"name": "theirs", "container_type": "stock", "attach": True}

@@ -57,6 +57,7 @@ def test_another_ros_is_refused_with_those_that_there_are(
     backend: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(NATIVE)
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     required = backend.get_requires_for_build_wheel({"ros": "kilted"})
     assert "ros-kilted-rmw-fastrtps-cpp==9.3.3" in required
     with pytest.raises(SystemExit, match=r"no wheels of ROS humble.* one of jazzy, kilted"):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from play_launch.config.substitutions import ament_prefixes
-from play_launch.container.command import ExecutableNotFoundError, find_executable
+from play_launch.container.command import NotInPackageError, find_executable
 from play_launch.container.environment import child_environment
 from play_launch.container.ros import ros_installation
 from tests.support import stock_double
@@ -93,7 +93,7 @@ def rclcpp_container() -> Path | None:
         return find_executable(
             "rclcpp_components", "component_container", ament_prefixes(environment)
         )
-    except ExecutableNotFoundError:
+    except NotInPackageError:
         return None
 
 

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <ament_index_cpp/get_resource.hpp>
-#include <ament_index_cpp/get_resources.hpp>
 #include <ament_index_cpp/get_search_paths.hpp>
 #include <ament_index_cpp/has_resource.hpp>
 #include <cerrno>
@@ -36,20 +35,6 @@ std::string listed(const std::vector<std::string>& names) {
 [[noreturn]] void no_index(const std::exception& error) {
   throw LoadError(std::string("cannot search the ament index: ") + error.what() +
                   "; set AMENT_PREFIX_PATH to the prefixes where components are installed");
-}
-
-/// Packages with a resource of that type, sorted.
-std::vector<std::string> packages(const std::string& resource_type) {
-  std::vector<std::string> names;
-  try {
-    for (const auto& [name, prefix] : ament_index_cpp::get_resources(resource_type)) {
-      names.push_back(name);
-    }
-  } catch (const std::exception&) {
-    return {};  // only used to help in a message
-  }
-  std::ranges::sort(names);
-  return names;
 }
 
 /// One entry of a resource: class and library.
@@ -129,25 +114,21 @@ std::string no_such_package(const std::string& package,
            "; raise the limit of open files (ulimit -n, or LimitNOFILE= in the systemd unit)";
   }
   std::string kinds;
-  std::vector<std::string> known;
   for (const ComponentIndex& index : indexes) {
     kinds += (kinds.empty() ? "" : ", ") + index.resource_type();
-    const std::vector<std::string> names = packages(index.resource_type());
-    known.insert(known.end(), names.begin(), names.end());
   }
-  std::string text = "package '" + package + "' has no components in the ament index (" + kinds +
-                     "); packages with components: " + listed(known);
-  // A package of the other kind is the likeliest reason, and the text above would be a riddle.
-  const std::string other = "rclcpp_components";
-  if (kinds.find(other) == std::string::npos && ComponentIndex(other).has_package(package)) {
-    return text + "; its components are made for rclcpp, which this container is built without";
+  const std::string rclcpp = "rclcpp_components";
+  if (kinds.find(rclcpp) == std::string::npos && ComponentIndex(rclcpp).has_package(package)) {
+    return "the components of package '" + package +
+           "' are made for rclcpp, which this container is built without";
   }
-  std::vector<std::string> paths;
-  for (const std::string& path : ament_index_cpp::get_search_paths()) {
-    paths.push_back(path);
+  std::string prefix;
+  if (ament_index_cpp::has_resource("packages", package, &prefix)) {
+    return "package '" + package + "' in " + prefix + " registers no components (" + kinds +
+           "): its CMakeLists.txt has to register them, and it has to be built again";
   }
-  return text + "; searched: " + listed(paths) +
-         "; install the package, or add its prefix to AMENT_PREFIX_PATH";
+  return "package '" + package + "' is not installed: no prefix in AMENT_PREFIX_PATH has it; " +
+         "install it, or source its workspace";
 }
 
 }  // namespace play_launch::container

@@ -16,7 +16,7 @@ from play_launch.config.model import (
 )
 from play_launch.config.resources import GroupLimits, Resources
 from play_launch.container.command import (
-    ExecutableNotFoundError,
+    NotInPackageError,
     container_argv,
     find_executable,
     process_argv,
@@ -159,7 +159,9 @@ def test_executables_are_found_in_the_first_prefix(tmp_path: Path) -> None:
         (folder / "listener").touch(0o644 if prefix.name == "not executable" else 0o755)
     found = find_executable("demo", "listener", prefixes)
     assert found == tmp_path / "first" / "lib" / "demo" / "listener"
-    with pytest.raises(ExecutableNotFoundError, match=r"no lib/demo/talker .*second"):
+    with pytest.raises(NotInPackageError, match="demo has no executable listner; did you mean lis"):
+        find_executable("demo", "listner", prefixes)
+    with pytest.raises(NotInPackageError, match=r"demo has no executable talker; it has listener$"):
         find_executable("demo", "talker", prefixes)
-    with pytest.raises(ExecutableNotFoundError, match="AMENT_PREFIX_PATH is empty"):
-        find_executable("demo", "talker", [])
+    with pytest.raises(NotInPackageError, match="package other is not installed: no prefix"):
+        find_executable("other", "talker", prefixes)
