@@ -27,12 +27,10 @@ class WriteFailedError(RecordingError):
 class SchemaNotFoundError(RecordingError):
     """The definition of a message type is not installed."""
 
-    def __init__(self, type_name: str, searched: tuple[Path, ...]) -> None:
-        """``searched`` are the prefixes that were looked at."""
-        places = ", ".join(str(place) for place in searched)
+    def __init__(self, type_name: str) -> None:
         super().__init__(
-            f"message definition {type_name} not found below {places}; source the setup file of "
-            "your ROS installation, or install play-launch-py again"
+            f"message definition {type_name} is not installed: no prefix in AMENT_PREFIX_PATH has "
+            "it; source your ROS installation, or install play-launch-py again"
         )
 
 

@@ -204,4 +204,4 @@ def _read(package: str, name: str, prefixes: tuple[Path, ...]) -> str:
             return (folder / f"{name}.msg").read_text(encoding="utf-8")
         except (FileNotFoundError, NotADirectoryError):
             continue
-    raise SchemaNotFoundError(f"{package}/msg/{name}", prefixes)
+    raise SchemaNotFoundError(f"{package}/msg/{name}")

@@ -324,7 +324,7 @@ def test_a_type_that_is_not_installed_is_reported_once_and_the_rest_recorded(
 ) -> None:
     def definition(name: str) -> str:
         if name == PROCESS_STATS:
-            raise SchemaNotFoundError(name, (Path("/opt"),))
+            raise SchemaNotFoundError(name)
         return message_definition(name)
 
     recorder = Recorder(BagWriter(tmp_path / "x.mcap", definition=definition))
@@ -335,4 +335,4 @@ def test_a_type_that_is_not_installed_is_reported_once_and_the_rest_recorded(
     assert (summary.dropped, summary.error) == (3, "")
     assert texts(summary, LOG_ALL) == ["record 1"]
     (message,) = [each.getMessage() for each in caplog.records if each.levelname == "ERROR"]
-    assert "play_launch_msgs/msg/ProcessStats not found below /opt" in message
+    assert "play_launch_msgs/msg/ProcessStats is not installed" in message

@@ -184,7 +184,7 @@ async def test_a_type_that_is_not_installed(
 ) -> None:
     def missing(name: str) -> str:
         if name == "std_msgs/msg/String":
-            raise SchemaNotFoundError(name, (tmp_path,))
+            raise SchemaNotFoundError(name)
         return message_definition(name)
 
     path = tmp_path / "x.mcap"
