@@ -8,6 +8,8 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Mapping  # noqa: TC003 - msgspec evaluates the annotations
+from contextlib import suppress
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -213,24 +215,20 @@ _INDEXES: Final = ("play_launch_components", "rclcpp_components")
 
 
 def component_library(package: str, plugin: str, prefixes: Sequence[Path]) -> Path:
-    """Find the library of a component in the ament index; the first prefix wins. Reads files.
+    """Find the library of a component as the container does: in the first index of the package.
 
     Raises:
-        NotInPackageError: When no index names it.
+        NotInPackageError: When that does not name it.
     """
-    known = set()
-    for prefix in prefixes:
-        for index in _INDEXES:
-            path = prefix / "share" / "ament_index" / "resource_index" / index / package
-            try:
-                content = path.read_text(encoding="utf-8")
-            except (OSError, ValueError):
-                continue
-            for line in content.splitlines():
-                name, _, library = line.strip().partition(";")
-                if name == plugin and library:
-                    return prefix / library
-                known.add(name)
+    known: dict[str, Path] = {}
+    for index, prefix in product(_INDEXES, prefixes):
+        path = prefix / "share" / "ament_index" / "resource_index" / index / package
+        with suppress(OSError, ValueError):
+            lines = (each.strip().partition(";") for each in path.read_text("utf-8").splitlines())
+            known = {name: prefix / library for name, _, library in lines if library}
+            break
+    if plugin in known:
+        return known[plugin]
     raise _not_in(package, prefixes, "component", plugin, known)
 
 

@@ -17,6 +17,7 @@ from play_launch.config.model import (
 from play_launch.config.resources import GroupLimits, Resources
 from play_launch.container.command import (
     NotInPackageError,
+    component_library,
     container_argv,
     find_executable,
     process_argv,
@@ -149,6 +150,22 @@ def test_a_node_with_everything() -> None:
 def test_a_nameless_node_keeps_its_own_name() -> None:
     argv = process_argv(process(command=("node",), log_level="info"))
     assert argv == ("node", "--ros-args", "--log-level", "info")
+
+
+def test_the_first_index_of_a_package_says_which_components_there_are(tmp_path: Path) -> None:
+    listed = {
+        ("overlay", "rclcpp_components"): "a::New;lib/libnew.so\n",
+        ("underlay", "rclcpp_components"): "a::New;lib/libold.so\na::Gone;lib/libold.so\n",
+        ("underlay", "packages"): "",
+    }
+    for (prefix, index), content in listed.items():
+        folder = tmp_path / prefix / "share/ament_index/resource_index" / index
+        folder.mkdir(parents=True)
+        (folder / "a").write_text(content, encoding="utf-8")
+    prefixes = [tmp_path / name for name in ("empty", "overlay", "underlay")]
+    assert component_library("a", "a::New", prefixes) == tmp_path / "overlay/lib/libnew.so"
+    with pytest.raises(NotInPackageError, match="has no component a::Gone; did you mean a::New"):
+        component_library("a", "a::Gone", prefixes)
 
 
 def test_executables_are_found_in_the_first_prefix(tmp_path: Path) -> None:
