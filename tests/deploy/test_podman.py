@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 pytestmark = pytest.mark.skipif(
-    not (shutil.which("podman") and shutil.which("runc")) or os.geteuid() != 0,
-    reason="needs podman with runc, and root",
+    not all(map(shutil.which, ("podman", "runc", "catatonit"))) or os.geteuid() != 0,
+    reason="needs podman with runc and catatonit, and root",
 )
 IMAGE = "localhost/play-launch-test:1"
 CONTAINER = "robot-pod-0-play-launch"
