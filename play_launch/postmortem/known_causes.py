@@ -64,6 +64,12 @@ KNOWN_CAUSES: Final = (
         "install it, or correct the command",
     ),
     KnownCause(
+        "context_shut_down",
+        re.compile(r"shut the ROS context down, which all nodes of this container share"),
+        "a component called rclcpp::shutdown()",
+        "set container_type: isolated, where that ends the component alone",
+    ),
+    KnownCause(
         "null_pointer",
         re.compile(r"SIGSEGV \(no memory at address 0x[0-9a-f]{1,3}\)"),
         "a null pointer was used",

@@ -139,3 +139,8 @@ def test_a_node_that_shuts_the_ros_context_of_all_down(runs: dict[str, Replay]) 
     assert container["state"] == "stopped"
     stops = replay.told(event="container", state="stopped")
     assert "a node shut its ROS context down" in stops[-1]["reason"]
+    (session,) = replay.told(event="session")
+    explained = run("explain", session["folder"]).stdout
+    assert f"/{name} died" in explained
+    assert "a component called rclcpp::shutdown()." in explained
+    assert "Fix: set container_type: isolated" in explained
