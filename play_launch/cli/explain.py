@@ -159,6 +159,8 @@ def _place(place: DeclaredPlace) -> str:
         where = str(place.line) if place.line is not None else ""
         inside = f"{function} ({library})" if function and library else function or library
         parts.append(", ".join(filter(None, (where, inside or place.frame.text))))
+    elif place.line is not None:
+        parts.append(f"{place.line}, {place.line.function}")
     if place.plugin:
         parts.append(f"{place.plugin} of package {place.package}")
     if place.command:

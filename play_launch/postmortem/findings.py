@@ -123,6 +123,7 @@ def _place(
     declared = places.get(key, DeclaredPlace())
     return DeclaredPlace(
         frame=known.frame,
+        line=known.line,
         package=known.package or declared.package,
         plugin=known.plugin or declared.plugin,
         container=declared.container or known.container,

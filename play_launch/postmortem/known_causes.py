@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from msgspec import Struct
 
+from play_launch.postmortem.source_lines import SourceLine
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -101,6 +103,22 @@ _KILLED: Final = "(SIGKILL)"
 BY_NAME: Final = {each.name: each for each in KNOWN_CAUSES}
 
 
+_FRAME: Final = re.compile(r'  File "([^"]+)", line (\d+), in (.+)')
+_EXCEPTION: Final = re.compile(r"[A-Za-z_][\w.]*(?::|$)")
+_LIBRARY: Final = re.compile(r"^<|/rclpy/|/lib/python3[.\d]*/(?!(?:site|dist)-packages/)")
+"""Where a line of Python is not that of a node; nodes are installed in site-packages."""
+_TERMINATED: Final = re.compile(
+    r"terminate called after throwing an instance of '(.+)'(?:\n  what\(\):  (.*))?"
+)
+
+
+class Uncaught(NamedTuple):
+    """An exception that ended a program, and where it was raised, if that is known."""
+
+    text: str
+    line: SourceLine | None = None
+
+
 class MatchedLine(NamedTuple):
     """A known cause, and the text that gives it away."""
 
@@ -120,6 +138,28 @@ def known_by(cause: str, last_lines: Sequence[str]) -> MatchedLine | None:
             if each.says.search(text):
                 return MatchedLine(each, text)
     return None
+
+
+def uncaught(cause: str, last_lines: Sequence[str]) -> Uncaught | None:
+    """Find the exception that a program of Python or C++ reported before it ended."""
+    if cause.endswith("status 1"):
+        return _of_python(last_lines)
+    if "(SIGABRT)" not in cause:
+        return None
+    found = _TERMINATED.search("\n".join(last_lines))
+    return Uncaught(": ".join(filter(None, found.groups()))) if found else None
+
+
+def _of_python(last_lines: Sequence[str]) -> Uncaught | None:
+    """Take the last traceback: indented lines, and the exception behind them."""
+    found, frames = None, []
+    for line in last_lines:
+        if frame := _FRAME.match(line):
+            frames.append(SourceLine(frame[1], int(frame[2]), frame[3]))
+        elif frames and _EXCEPTION.match(line):
+            own = [each for each in frames if not _LIBRARY.search(each.file)]
+            found, frames = Uncaught(line, (own or frames)[-1]), []
+    return found
 
 
 def known_cause(cause: str, last_lines: Sequence[str]) -> str:

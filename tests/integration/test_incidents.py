@@ -1,4 +1,4 @@
-"""Eleven staged incidents, of real programs; `explain` names node, cause and place at once."""
+"""Staged incidents, of real programs; `explain` names node, cause and place at once."""
 
 from __future__ import annotations
 
@@ -180,6 +180,26 @@ def test_a_null_pointer_in_a_callback(crashed: Path) -> None:
     assert finding["lines"][die]["file"].endswith("crasher.cpp")
     assert finding["last_lines"] == []
     assert finding["away"] == [{"name": "/victim", "ns": None}]
+
+
+def test_an_exception_that_a_node_in_python_does_not_catch(tmp_path: Path) -> None:
+    program = tmp_path / "planner.py"
+    program.write_text("import json\n\n\ndef plan():\n    json.loads('{')\n\n\nplan()\n")
+    check(
+        story(recorded(tmp_path, process("planner", sys.executable, str(program)))),
+        "/planner died",
+        "exited with status 1; uncaught exception json.decoder.JSONDecodeError: Expecting",
+        f"Place: {program}:5, plan; command ",
+    )
+
+
+def test_an_exception_that_a_program_in_cpp_does_not_catch(tmp_path: Path) -> None:
+    throw = "import ctypes; ctypes.CDLL('libstdc++.so.6')._ZSt21__throw_runtime_errorPKc(b'no map')"
+    check(
+        story(recorded(tmp_path, process("planner", sys.executable, "-c", throw))),
+        "/planner died",
+        "(SIGABRT); uncaught exception std::runtime_error: no map.",
+    )
 
 
 def test_a_null_pointer_that_ends_the_whole_container(tmp_path: Path) -> None:

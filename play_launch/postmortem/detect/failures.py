@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from play_launch.config.text import duration
 from play_launch.postmortem.critical_chain import left_behind
 from play_launch.postmortem.findings import DeclaredPlace, Finding
-from play_launch.postmortem.known_causes import known_cause
+from play_launch.postmortem.known_causes import known_cause, uncaught
 from play_launch.postmortem.units import Downtime, Fault
 from play_launch.supervisor.events import MachineState
 from play_launch.supervisor.frames import blamed
@@ -68,8 +68,12 @@ def _failed(timeline: Timeline) -> Iterator[Finding]:
         if each.fault is Fault.LOAD_FAILED and each.is_crash:
             says = _IN_CONSTRUCTOR
         number = blamed(each.frames)
+        cause, exception = each.cause, uncaught(each.cause, each.last_lines)
+        if exception is not None:
+            cause = f"{cause}; uncaught exception {exception.text}"
         place = DeclaredPlace(
             frame=None if number is None else each.frames[number],
+            line=exception.line if exception else None,
             plugin=each.plugin,
             package=each.package,
             container=each.container,
@@ -83,8 +87,8 @@ def _failed(timeline: Timeline) -> Iterator[Finding]:
             name=each.name,
             key=each.key,
             times_ns=tuple(each.times),
-            cause=each.cause + took + _request(timeline, each),
-            known="out_of_memory" if is_oom else known_cause(each.cause, each.last_lines),
+            cause=cause + took + _request(timeline, each),
+            known="out_of_memory" if is_oom else known_cause(cause, each.last_lines),
             place=place,
             frames=each.frames,
             modules=each.modules,
