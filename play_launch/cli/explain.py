@@ -143,7 +143,7 @@ def details(finding: Finding) -> Iterator[str]:
 
 
 def _cause(finding: Finding) -> str:
-    cause, known = finding.cause, BY_NAME.get(finding.known)
+    cause, known = finding.cause.removesuffix("."), BY_NAME.get(finding.known)
     if known is None:
         return cause
     said = known_by(cause, finding.last_lines)
@@ -160,7 +160,7 @@ def _place(place: DeclaredPlace) -> str:
         inside = f"{function} ({library})" if function and library else function or library
         parts.append(", ".join(filter(None, (where, inside or place.frame.text))))
     elif place.line is not None:
-        parts.append(f"{place.line}, {place.line.function}")
+        parts.append(", ".join(filter(None, (str(place.line), place.line.function))))
     if place.plugin:
         parts.append(f"{place.plugin} of package {place.package}")
     if place.command:

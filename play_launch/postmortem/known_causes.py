@@ -54,10 +54,10 @@ KNOWN_CAUSES: Final = (
         "missing_library",
         re.compile(
             r"cannot open shared object file(?!\): ignored)|no components in the ament index"
-            r"|does not exist: \S+\.so|no such library"
+            r"|does not exist: \S+\.so|no such library|No module named '"
         ),
         "a library is missing",
-        "install the package, or add its prefix to AMENT_PREFIX_PATH or LD_LIBRARY_PATH",
+        "install the package, or source its workspace",
     ),
     KnownCause(
         "missing_program",
@@ -103,7 +103,7 @@ _KILLED: Final = "(SIGKILL)"
 BY_NAME: Final = {each.name: each for each in KNOWN_CAUSES}
 
 
-_FRAME: Final = re.compile(r'  File "([^"]+)", line (\d+), in (.+)')
+_FRAME: Final = re.compile(r'  File "([^"]+)", line (\d+)(?:, in (.+))?')
 _EXCEPTION: Final = re.compile(r"[A-Za-z_][\w.]*(?::|$)")
 _LIBRARY: Final = re.compile(r"^<|/rclpy/|/lib/python3[.\d]*/(?!(?:site|dist)-packages/)")
 """Where a line of Python is not that of a node; nodes are installed in site-packages."""
@@ -132,8 +132,9 @@ def known_by(cause: str, last_lines: Sequence[str]) -> MatchedLine | None:
     Lines explain how a program failed. A SIGKILL comes from another process, whatever the
     program complained about before.
     """
-    lines = () if _KILLED in cause else reversed(last_lines)
-    for text in (cause, *lines):
+    lines = () if _KILLED in cause else tuple(reversed(last_lines))
+    # The dynamic loader exits with 127 as well, and says which library is missing.
+    for text in (*lines, cause) if cause.endswith("status 127") else (cause, *lines):
         for each in KNOWN_CAUSES:
             if each.says.search(text):
                 return MatchedLine(each, text)
@@ -155,7 +156,7 @@ def _of_python(last_lines: Sequence[str]) -> Uncaught | None:
     found, frames = None, []
     for line in last_lines:
         if frame := _FRAME.match(line):
-            frames.append(SourceLine(frame[1], int(frame[2]), frame[3]))
+            frames.append(SourceLine(frame[1], int(frame[2]), frame[3] or ""))
         elif frames and _EXCEPTION.match(line):
             own = [each for each in frames if not _LIBRARY.search(each.file)]
             found, frames = Uncaught(line, (own or frames)[-1]), []

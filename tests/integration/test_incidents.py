@@ -193,6 +193,17 @@ def test_an_exception_that_a_node_in_python_does_not_catch(tmp_path: Path) -> No
     )
 
 
+def test_a_program_whose_library_is_missing(tmp_path: Path) -> None:
+    loader = "./planner: error while loading shared libraries: libmap.so: cannot open shared object"
+    script = f"echo '{loader} file: No such file or directory' >&2; exit 127"
+    check(
+        story(recorded(tmp_path, process("planner", "sh", "-c", script))),
+        "exited with status 127, after it wrote",
+        "libmap.so",
+        "that is, a library is missing.",
+    )
+
+
 def test_an_exception_that_a_program_in_cpp_does_not_catch(tmp_path: Path) -> None:
     throw = "import ctypes; ctypes.CDLL('libstdc++.so.6')._ZSt21__throw_runtime_errorPKc(b'no map')"
     check(

@@ -413,6 +413,7 @@ def test_only_failures_gives_the_same_failures(tmp_path: Path) -> None:
         ("write failed: No space left on device", "disk_full"),
         ("terminate called after throwing an instance of 'std::bad_alloc'", "out_of_memory"),
         ("MemoryError", "out_of_memory"),
+        ("ModuleNotFoundError: No module named 'x'", "missing_library"),
         ("libx.so: cannot open shared object file: No such file", "missing_library"),
         ("libx.so: undefined symbol: _ZN1aE", "missing_symbol"),
         (
