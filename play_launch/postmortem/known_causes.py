@@ -53,8 +53,8 @@ KNOWN_CAUSES: Final = (
     KnownCause(
         "missing_library",
         re.compile(
-            r"cannot open shared object file(?!\): ignored)|no components in the ament index"
-            r"|does not exist: \S+\.so|no such library|No module named '"
+            r"cannot open shared object file(?!\): ignored)|no such library|No module named '"
+            r"|(?:components|resource) in (?:the )?ament index|does not exist: \S+\.so"
         ),
         "a library is missing",
         "install the package, or source its workspace",

@@ -161,9 +161,12 @@ def _place(kind: SubjectKind, key: str) -> str:
 def message_definition(type_name: str, prefixes: tuple[Path, ...] | None = None) -> str:
     """Return the definition of ``package/msg/Name`` with everything it depends on.
 
-    Raises :class:`SchemaNotFoundError` when a definition is not installed below ``prefixes``. ROS
-    from wheels is below Python's own prefix, and needs no ``AMENT_PREFIX_PATH``.
+    Raises :class:`SchemaNotFoundError` when a definition is not installed below ``prefixes``, or
+    belongs to an action or a service. ROS from wheels is below Python's own prefix, and needs no
+    ``AMENT_PREFIX_PATH``.
     """
+    if "/msg/" not in type_name:
+        raise SchemaNotFoundError(type_name)
     places = prefixes or (*ament_prefixes(os.environ), Path(sys.prefix))
     package, name = _split(type_name, "")
     seen = {(package, name)}
