@@ -222,7 +222,7 @@ def component_library(package: str, plugin: str, prefixes: Sequence[Path]) -> Pa
     """
     known: dict[str, Path] = {}
     for index, prefix in product(_INDEXES, prefixes):
-        path = prefix / "share" / "ament_index" / "resource_index" / index / package
+        path = Path(f"{prefix}/share/ament_index/resource_index/{index}/{package}")
         with suppress(OSError, ValueError):
             lines = (each.strip().partition(";") for each in path.read_text("utf-8").splitlines())
             known = {name: prefix / library for name, _, library in lines if library}
