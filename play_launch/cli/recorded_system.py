@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cli.output import warn
-from play_launch.config.substitutions import ament_prefixes
+from play_launch.config.substitutions import share_folder
 from play_launch.control.protocol import ROS_VARIABLES
 from play_launch.postmortem.recorded_config import RecordedConfig, recorded_config
 from play_launch.recording.environment import REDACTED, versions
@@ -48,7 +47,7 @@ def differences(
             versions_of = [each.get(name) or "none" for each in (then, here)]
             yield f"{name}: recorded with {versions_of[0]}, here is {versions_of[1]}"
     for package in sorted(_packages(recorded.config)):
-        if not _is_installed(package, environ):
+        if share_folder(package, environ) is None:
             yield f"package {package} is not installed here"
     names = {*recorded.environment, *environ}
     for name in sorted(name for name in names if name.startswith(ROS_VARIABLES)):
@@ -82,13 +81,6 @@ def _packages(config: ReplayConfig) -> set[str]:
     found = {node.package for each in config.containers for node in each.composable_nodes}
     found |= {node.package for node in config.nodes if node.package}
     return found
-
-
-def _is_installed(package: str, environ: Mapping[str, str]) -> bool:
-    prefixes = [*ament_prefixes(environ), Path(sys.prefix)]
-    index = "share/ament_index/resource_index"
-    kinds = ("packages", "play_launch_components", "rclcpp_components")
-    return any((prefix / index / kind / package).exists() for prefix in prefixes for kind in kinds)
 
 
 def _quoted(value: str | None) -> str:
