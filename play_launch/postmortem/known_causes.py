@@ -103,7 +103,7 @@ _KILLED: Final = "(SIGKILL)"
 BY_NAME: Final = {each.name: each for each in KNOWN_CAUSES}
 
 
-_FRAME: Final = re.compile(r'  File "([^"]+)", line (\d+)(?:, in (.+))?')
+_FRAME: Final = re.compile(r'  File "([^"]+)", line (\d{1,9})(?:, in (.+))?')
 _EXCEPTION: Final = re.compile(r"[A-Za-z_][\w.]*(?::|$)")
 _LIBRARY: Final = re.compile(r"^<|/rclpy/|/lib/python3[.\d]*/(?!(?:site|dist)-packages/)")
 """Where a line of Python is not that of a node; nodes are installed in site-packages."""
@@ -155,7 +155,7 @@ def _of_python(last_lines: Sequence[str]) -> Uncaught | None:
     """Take the last traceback: indented lines, and the exception behind them."""
     found, frames = None, []
     for line in last_lines:
-        if frame := _FRAME.match(line):
+        if frame := _FRAME.fullmatch(line):
             frames.append(SourceLine(frame[1], int(frame[2]), frame[3] or ""))
         elif frames and _EXCEPTION.match(line):
             own = [each for each in frames if not _LIBRARY.search(each.file)]
