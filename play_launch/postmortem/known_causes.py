@@ -68,7 +68,7 @@ KNOWN_CAUSES: Final = (
     KnownCause(
         "context_shut_down",
         re.compile(r"shut the ROS context down, which all nodes of this container share"),
-        "a component called rclcpp::shutdown()",
+        "a component called rclcpp::shutdown(), or did the same",
         "set container_type: isolated, where that ends the component alone",
     ),
     KnownCause(

@@ -7,6 +7,7 @@ import os
 import re
 import signal
 import subprocess
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -83,6 +84,16 @@ def test_what_cannot_be_found_or_opened(package: str, plugin: str, error: str) -
     found = json.loads(line)
     assert (status, found["signal"]) == (FAILED, 0)
     assert error in found["error"]
+
+
+def test_components_that_are_made_for_rclcpp(tmp_path: Path) -> None:
+    index = tmp_path / "share/ament_index/resource_index/rclcpp_components"
+    index.mkdir(parents=True)
+    (index / "theirs").write_text("theirs::Node;lib/libtheirs.so\n", encoding="utf-8")
+    status, line = probe("theirs", "theirs::Node", AMENT_PREFIX_PATH=str(tmp_path))
+    has_rclcpp = "native rclcpp" in program("--version").stdout
+    expected = "cannot load library" if has_rclcpp else "are made for rclcpp, which this container"
+    assert (status, expected in json.loads(line)["error"]) == (FAILED, True), line
 
 
 def test_both_names_are_needed() -> None:

@@ -142,5 +142,5 @@ def test_a_node_that_shuts_the_ros_context_of_all_down(runs: dict[str, Replay]) 
     (session,) = replay.told(event="session")
     explained = run("explain", session["folder"]).stdout
     assert f"/{name} died" in explained
-    assert "a component called rclcpp::shutdown()." in explained
+    assert "that is, a component called rclcpp::shutdown()" in explained
     assert "Fix: set container_type: isolated" in explained

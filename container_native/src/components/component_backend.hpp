@@ -38,7 +38,7 @@ class ComponentIndex {
   const std::string resource_type_;
 };
 
-/// Why no backend knows `package`: where was looked, what is there, and how to change that.
+/// Why no backend knows `package`, and how to change that.
 std::string no_such_package(const std::string& package, const std::vector<ComponentIndex>& indexes);
 
 /// One component that was constructed. Destroying it destroys its node; it must not be in an
