@@ -61,7 +61,8 @@ class _Process(NamedTuple):
     shared: SharedKey | None = None
     """Identifies the process that it shares."""
     unloadable: tuple[dict[str, str], ...] = ()
-    """Its components that are not installed: name, place, problem."""
+    """Its components that are not installed: name, place, problem. Where other containers look for
+    theirs is up to them."""
 
 
 def processes(config: ReplayConfig) -> list[dict[str, Any]]:
@@ -132,12 +133,10 @@ def _member(
     except (ParameterFileError, NotInPackageError, ValueError) as error:
         return process._replace(problem=str(error))
     variables = {MEMBER_VARIABLE: mark_for("(pid)", config.full_name)}
-    if isinstance(config, ContainerConfig):
-        prefixes = tuple(ament_prefixes(command.environment))
-        process = process._replace(unloadable=tuple(_unloadable(config, prefixes)))
     if isinstance(config, ContainerConfig) and is_own(config):
         variables[CONTROL_FD_VARIABLE] = _DESCRIPTOR
-        process = process._replace(shared=shares.get(config.full_name))
+        missing = tuple(_unloadable(config, tuple(ament_prefixes(command.environment))))
+        process = process._replace(shared=shares.get(config.full_name), unloadable=missing)
         if config.consolidate and process.shared is None:
             process = process._replace(alone=stays_alone(config))
     command = replace(command, environment={**command.environment, **variables})

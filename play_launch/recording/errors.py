@@ -27,15 +27,6 @@ class WriteFailedError(RecordingError):
 class SchemaNotFoundError(RecordingError):
     """The definition of a message type is not installed, or no reader would take its name."""
 
-    def __init__(self, type_name: str) -> None:
-        why = (
-            "is not installed: no prefix in AMENT_PREFIX_PATH has it; source your ROS installation,"
-            " or install play-launch-py again"
-            if "/msg/" in type_name
-            else "is that of an action or a service: readers of recordings refuse its name"
-        )
-        super().__init__(f"message definition {type_name} {why}")
-
 
 def reason(cause: OSError) -> str:
     """The system's words for an error, without Python's decoration."""

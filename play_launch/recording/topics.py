@@ -166,7 +166,8 @@ def message_definition(type_name: str, prefixes: tuple[Path, ...] | None = None)
     ``AMENT_PREFIX_PATH``.
     """
     if "/msg/" not in type_name:
-        raise SchemaNotFoundError(type_name)
+        why = "is that of an action or a service: readers of recordings refuse its name"
+        raise SchemaNotFoundError(f"message definition {type_name} {why}")
     places = prefixes or (*ament_prefixes(os.environ), Path(sys.prefix))
     package, name = _split(type_name, "")
     seen = {(package, name)}
@@ -207,4 +208,7 @@ def _read(package: str, name: str, prefixes: tuple[Path, ...]) -> str:
             return (folder / f"{name}.msg").read_text(encoding="utf-8")
         except (FileNotFoundError, NotADirectoryError):
             continue
-    raise SchemaNotFoundError(f"{package}/msg/{name}")
+    raise SchemaNotFoundError(
+        f"message definition {package}/msg/{name} is not installed: no prefix in AMENT_PREFIX_PATH "
+        "has it; source your ROS installation, or install play-launch-py again"
+    )

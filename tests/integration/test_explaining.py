@@ -284,10 +284,14 @@ def test_components_that_are_not_installed_are_named(tmp_path: Path) -> None:
         for number, (package, plugin) in enumerate(components)
     ]
     path = tmp_path / "missing.yaml"
-    container = {"name": "box", "composable_nodes": nodes}
-    path.write_text(json.dumps({"version": 1, "containers": [container]}), encoding="utf-8")
+    program = {"package": "play_launch_container", "executable": "component_container"}
+    absent = {**nodes[3], "name": "absent"}
+    theirs = {"name": "theirs", "container_type": "stock", "composable_nodes": [absent], **program}
+    containers = [{"name": "box", "composable_nodes": nodes}, theirs]
+    path.write_text(json.dumps({"version": 1, "containers": containers}), encoding="utf-8")
     result = explain(path, "--json", code=1)
-    (told, *_) = json.loads(result.stdout)["processes"]
+    (told, other, *_) = json.loads(result.stdout)["processes"]
+    assert (other["name"], other["problem"], other["unloadable"]) == ("/theirs", None, [])
     problems = {each["name"]: each["problem"] for each in told["unloadable"]}
     assert problems.keys() == {"/n1", "/n2", "/n3"}
     assert problems["/n1"].endswith("did you mean play_launch_demo::Talker?")

@@ -324,7 +324,7 @@ def test_a_type_that_is_not_installed_is_reported_once_and_the_rest_recorded(
 ) -> None:
     def definition(name: str) -> str:
         if name == PROCESS_STATS:
-            raise SchemaNotFoundError(name)
+            raise SchemaNotFoundError(f"{name} is not installed")
         return message_definition(name)
 
     recorder = Recorder(BagWriter(tmp_path / "x.mcap", definition=definition))
