@@ -11,6 +11,7 @@ import asyncio
 import atexit
 import errno
 import os
+import shlex
 import shutil
 import signal
 import socket
@@ -86,14 +87,36 @@ def check_program(argv: Sequence[str], env: Mapping[str, str], cwd: Path | None)
         reason = FileNotFoundError(2, f"its working directory is no directory: {cwd}")
         raise SpawnError.of(argv, reason)
     program = argv[0]
-    if "/" in program:
-        path = Path(cwd or ".") / program
-        if not path.exists():
-            raise SpawnError.of(argv, FileNotFoundError(2, "no such file"))
-        if path.is_dir() or not os.access(path, os.X_OK):
-            raise SpawnError.of(argv, PermissionError(13, "it is not an executable file"))
-    elif shutil.which(program, path=env.get("PATH", os.defpath)) is None:
-        raise SpawnError.of(argv, FileNotFoundError(2, "no such program in PATH"))
+    path = Path(cwd or ".") / program
+    if "/" not in program:
+        found = shutil.which(program, path=env.get("PATH", os.defpath))
+        if found is None:
+            raise SpawnError.of(argv, FileNotFoundError(2, "no such program in PATH"))
+        path = Path(found)
+    elif not path.exists():
+        raise SpawnError.of(argv, FileNotFoundError(2, "no such file"))
+    elif not path.is_file() or not os.access(path, os.X_OK):
+        raise SpawnError.of(argv, PermissionError(13, "it is not an executable file"))
+    _check_interpreter(argv, path, cwd)
+
+
+def _check_interpreter(argv: Sequence[str], path: Path, cwd: Path | None) -> None:
+    """Check what a script names in its first line: Linux would report the script as missing."""
+    try:
+        with path.open("rb") as script:
+            line = script.readline(256)  # Linux reads as much
+    except OSError:  # what may be executed need not be readable
+        return
+    if not line.startswith(b"#!") or not (words := line[2:].split(maxsplit=1)):
+        return
+    if line.endswith(b"\r\n"):
+        fix = f"sed -i 's/\\r$//' {shlex.quote(str(path))}"
+        reason = f"its lines end as on Windows, with CR LF; fix: {fix}"
+    elif not (interpreter := Path(cwd or ".") / os.fsdecode(words[0])).exists():
+        reason = f"its first line names {interpreter} to run it, which is missing"
+    else:
+        return
+    raise SpawnError.of(argv, FileNotFoundError(errno.ENOENT, reason))
 
 
 @dataclass(eq=False, slots=True)
@@ -166,7 +189,6 @@ class SessionGuard:
 
     @property
     def pid(self) -> int:
-        """Its pid."""
         return self._process.pid
 
     @property
@@ -411,8 +433,7 @@ def _command_file(
     folders = () if cwd is None else (os.fspath(cwd),)
     texts = [os.fsencode(text) for text in (*argv, *variables, *folders, *settings)]
     if any(b"\0" in text for text in texts):
-        msg = "embedded null byte"
-        raise ValueError(msg)
+        raise ValueError("embedded null byte")
     counts = struct.pack("=4I", len(argv), len(variables), len(folders), len(settings))
     file = open(os.memfd_create("command", os.MFD_CLOEXEC), "wb")  # noqa: PTH123, SIM115
     file.write(counts + b"".join(text + b"\0" for text in texts))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import resource
 import signal
 import threading
 from contextlib import suppress
-from errno import EAGAIN
+from errno import EAGAIN, ENOENT
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -234,6 +235,34 @@ async def test_what_cannot_start_is_said(
     assert caught.value.argv == tuple(argv)
 
 
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        (b"#!/no/such/python3 -u\n", "names /no/such/python3 to run it, which is missing"),
+        (b"#!/usr/bin/env python3\r\n", r"with CR LF; fix: sed -i 's/\r$//'"),
+        (b"#! /bin/sh\n", ""),
+        (b"#!/bin/sh", ""),
+        (b"#!\n", ""),
+        (b"", ""),
+    ],
+)
+async def test_a_script_whose_first_line_cannot_run_it_is_named(
+    session: SessionGuard, tmp_path: Path, line: bytes, text: str
+) -> None:
+    script = tmp_path / "talker.py"
+    script.write_bytes(line)
+    script.chmod(0o755)
+    in_path = {"PATH": str(tmp_path)}
+    for argv, variables in ([str(script)], environment()), ([script.name], in_path):
+        if text:
+            with pytest.raises(SpawnError, match=re.escape(text)) as caught:
+                await spawn(argv, env=variables, guard=session)
+            assert caught.value.errno == ENOENT
+        else:
+            child = await spawn(argv, env=variables, guard=session)
+            assert await finished(child) == Exit(code=0)
+
+
 async def test_without_another_thread_nothing_is_started_for_now(
     session: SessionGuard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -288,14 +317,14 @@ async def test_all_that_is_written_to_a_terminal_arrives_as_it_is(session: Sessi
     assert output.texts() == [f"{n}\t\x1b[31m" + "x" * 90 for n in range(5000)]
 
 
-async def test_a_script_without_interpreter_ends_with_127(
+async def test_a_program_without_its_loader_ends_with_127(
     session: SessionGuard, tmp_path: Path
 ) -> None:
-    script = tmp_path / "node"
-    script.write_text("#!/no/such/interpreter\n")
-    script.chmod(0o755)
+    program = tmp_path / "node"
+    program.write_bytes(Path("/bin/true").read_bytes().replace(b"/ld-linux", b"/no-linux"))
+    program.chmod(0o755)
     output = Output()
-    assert await finished(await start([str(script)], session, output)) == Exit(code=127)
+    assert await finished(await start([str(program)], session, output)) == Exit(code=127)
     assert "No such file" in output.texts(Stream.STDERR)[0]
 
 
