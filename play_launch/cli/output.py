@@ -88,7 +88,8 @@ _CONTROL: Final = re.compile(
     r"|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)?"  # OSC: sets titles, writes clipboards
     r"|\x1b[PX^_][^\x1b]*(?:\x1b\\)?"  # DCS and its like
     r"|\x1b."
-    r"|[\x00-\x08\x0b-\x1f\x7f\x80-\x9f]"
+    r"|[\x00-\x08\x0b-\x1f\x7f\x80-\x9f"
+    r"\u2028-\u202e\u2066-\u2069]"  # ends lines, turns the direction of the text that follows
 )
 
 

@@ -27,6 +27,7 @@ class Terminal(io.StringIO):
         ("\x9b31mc1", "31mc1", "31mc1"),
         ("end\x1b", "end", "end"),
         ("end\x1b[", "end", "end"),
+        ("/talker\u202egnp.\u2069", "/talkergnp.", "/talkergnp."),
     ],
 )
 def test_foreign_text_cannot_disturb_the_terminal(text: str, plain: str, coloured: str) -> None:
