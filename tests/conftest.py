@@ -30,6 +30,11 @@ pytest_plugins = ["tests.support.turns"]
 DOMAINS = range(1, 81)
 
 
+@pytest.fixture(scope="session")
+def anyio_backend() -> str:
+    return "asyncio"
+
+
 def claim_domain() -> tuple[int, socket.socket]:
     """Take a ROS domain, and with it a graph daemon's port, that no other test process has.
 

@@ -15,11 +15,6 @@ from tests.process.programs import open_descriptors
 from tests.support.waiting import until
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
 @pytest.fixture(autouse=True)
 def _loop_is_never_blocked() -> Iterator[None]:
     with blockbuster_ctx("play_launch") as blockbuster:

@@ -10,11 +10,6 @@ from blockbuster import blockbuster_ctx
 from play_launch.container.cdr.messages import CONTROL_HELLO
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
 @pytest.fixture(scope="session", autouse=True)
 def _definitions_are_read() -> None:
     """Read the definitions of our messages, all at once, before a loop runs."""

@@ -8,11 +8,6 @@ import pytest
 from blockbuster import blockbuster_ctx
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
 @pytest.fixture(autouse=True)
 def _loop_is_never_blocked() -> Iterator[None]:
     with blockbuster_ctx("play_launch") as blockbuster:
