@@ -27,10 +27,13 @@ test *arguments:
 search *arguments:
     {{python}} -m pytest --hypothesis-profile search {{arguments}}
 
-# Test members and the control socket with the lowest versions of the dependencies that are permitted.
+# Run all tests with the lowest versions of the dependencies and extras that are permitted.
 lowest:
-    {{python}} -m pip install -q --target build/lowest $(sed -nE '/^dependencies/,/^\]/s/^  "([a-z-]+)>=([0-9.]+).*/\1==\2/p' pyproject.toml)
-    PYTHONPATH=build/lowest .venv/bin/pytest -q -p no:cacheprovider tests/runtime tests/control/test_server.py
+    python3 -m venv build/lowest
+    build/lowest/bin/pip install 'pip>=25.1'
+    sed -n '/^dependencies/,/^\[dependency-groups/p' pyproject.toml | grep -oE '[a-z-]+>=[0-9.]+' | sed 's/>=/==/' > build/lowest.txt
+    build/lowest/bin/pip install -c build/lowest.txt --config-settings cmake.define.PLAY_LAUNCH_FIXTURES=ON ./container_native '.[jazzy,machines,parquet,top,web]' --group test
+    build/lowest/bin/pytest -n auto --dist loadfile
 
 # Install the packages of the reader in JavaScript, which one test runs where they are.
 readers:

@@ -103,9 +103,10 @@ def check_program(argv: Sequence[str], env: Mapping[str, str], cwd: Path | None)
 def _check_interpreter(argv: Sequence[str], path: Path, cwd: Path | None) -> None:
     """Check what a script names in its first line: Linux would report the script as missing."""
     try:
-        with path.open("rb") as script:
-            line = script.readline(256)  # Linux reads as much
-    except OSError:  # what may be executed need not be readable
+        # Linux reads as much. What may be executed need not be readable, or not at once.
+        with open(os.open(path, os.O_CLOEXEC | os.O_NONBLOCK), "rb") as script:  # noqa: PTH123
+            line = script.readline(256)
+    except OSError:
         return
     if not line.startswith(b"#!") or not (words := line[2:].split(maxsplit=1)):
         return
@@ -217,8 +218,7 @@ class SessionGuard:
             descriptors: What it gets, by the number it has there; 0, 1 and 2 among them.
             leaves_by_itself: Whether it exits within 0.7 s when the supervisor has exited.
             cwd: Its working directory, ours by default.
-            settings: What it asks of the kernel for itself, see `config.resources`; what
-                is refused is left out.
+            settings: What it asks of the kernel, see `config.resources`; refusals are left out.
 
         Raises:
             OSError: When it cannot be started.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import math
 from typing import TYPE_CHECKING, Final
@@ -72,7 +73,7 @@ class ContainerWatch:
 
     def _report(self, text: str, count: int, crashes: int) -> None:
         reported, again_at = self._reported.get(text, (0, -math.inf))
-        now = anyio.current_time()
+        now = asyncio.get_running_loop().time()
         if count > reported and now >= again_at:
             self._reported[text] = count, now + _REPORT_INTERVAL
             _log.warning(text, self._container, count, crashes)
