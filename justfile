@@ -33,7 +33,7 @@ lowest:
     build/lowest/bin/pip install 'pip>=25.1'
     sed -n '/^dependencies/,/^\[dependency-groups/p' pyproject.toml | grep -oE '[a-z-]+>=[0-9.]+' | sed 's/>=/==/' > build/lowest.txt
     build/lowest/bin/pip install -c build/lowest.txt --config-settings cmake.define.PLAY_LAUNCH_FIXTURES=ON ./container_native '.[jazzy,machines,parquet,top,web]' --group test
-    build/lowest/bin/pytest -n auto --dist loadfile
+    build/lowest/bin/pytest -n auto --dist loadfile --ignore tests/style
 
 # Install the packages of the reader in JavaScript, which one test runs where they are.
 readers:
