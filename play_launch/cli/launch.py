@@ -70,9 +70,7 @@ def launch(  # noqa: PLR0917 - options, by name
         report_losses(made)
         note(sizes(made))
         if made.problems:
-            fail(
-                "the launch file describes something that cannot be brought up; nothing was started"
-            )
+            fail("what the launch file describes cannot be brought up; nothing was started")
         if strict and made.lost:
             fail("something gets lost; nothing was started")
         config = folder / f"{name}.yaml"

@@ -120,6 +120,9 @@ def report_losses(written: Written) -> None:
     """Write to stderr what could not be carried over, and mistakes in the result."""
     for loss in written.losses:
         note(f"{'note' if loss.is_note else 'not carried over'}: {loss.where}: {loss.what}")
+    if not written.containers and not written.processes:
+        note("nothing to start: conditions and arguments leave no program")
+        return
     for problem in written.problems:
         note(f"mistake in the result: {problem}")
 

@@ -7,6 +7,7 @@ come without lines from ROS's launch, so their files are read a second time for 
 from __future__ import annotations
 
 import os
+import re
 import sys
 import xml.parsers.expat
 from contextlib import contextmanager
@@ -30,6 +31,8 @@ _SAID: Final = frozenset(
     {"RuntimeError", "Exception", "SubstitutionFailure", "PackageNotFoundError"}
 )
 """Errors whose class adds nothing to their text."""
+_NO_ATTRIBUTE: Final = re.compile(r"Attribute '(\S+)' of type .* not found in Entity '(\S+)'")
+_OF_ROS_1: Final = {"find": "$(find-pkg-share PACKAGE)", "arg": "$(var NAME)"}
 
 
 class Places:
@@ -229,6 +232,13 @@ def _text(error: BaseException) -> str:
     if text.startswith("Required launch argument"):
         return f"{text.rstrip('.')}; give it as name:=value"
     if type(error).__module__.split(".")[0] == "lark":
+        if (cause := getattr(error, "orig_exc", None)) is not None:
+            return _text(cause)
         # What the grammar expects follows in many lines.
         return f"a substitution is not written as launch wants it: {text.splitlines()[0]}"
+    if instead := _OF_ROS_1.get(text.removeprefix("Unknown substitution: ")):
+        return f"{text}; it is of ROS 1, in ROS 2 it is {instead}"
+    if missing := _NO_ATTRIBUTE.match(text):
+        hint = "; it was type in ROS 1" if missing[1] == "exec" else ""
+        return f"{missing[2]} has no attribute {missing[1]}{hint}"
     return text if kind in _SAID and text else f"{kind}: {text}" if text else kind

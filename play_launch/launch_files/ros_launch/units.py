@@ -98,15 +98,20 @@ def _timeout(scene: Scene, value: Any) -> float | None:
 
 def _output(scene: Scene, process: LaunchedProcess, output: Any, *, has_output: bool) -> str:
     if isinstance(output, dict):
-        kinds = {str(kind) for kind in output.values()}
-        if set(output) == {"both"}:
-            return kinds.pop()
+        stdout, stderr = (_is_shown(output, stream) for stream in ("stdout", "stderr"))
+        if stdout == stderr:
+            return "screen" if stdout else "log"
         scene.lost(process, f"output: {output}; another one for stdout and stderr is not possible")
         return ""
     text = perform_substitutions(scene.context, output)
     if text not in OUTPUTS:
         raise RuntimeError(f"{text!r} is no output; {', '.join(sorted(OUTPUTS))} are")
     return text if text != _DEFAULT_OUTPUT or has_output else ""
+
+
+def _is_shown(output: Mapping[str, Any], stream: str) -> bool:
+    given = (output.get(key, ()) for key in ("both", stream))
+    return any("screen" in ({each} if isinstance(each, str) else each) for each in given)
 
 
 def _read_environment(

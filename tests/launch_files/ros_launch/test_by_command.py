@@ -44,6 +44,20 @@ def test_what_is_printed_is_no_part_of_the_configuration(prefix: Prefix) -> None
 
 
 @pytest.mark.parametrize("verb", ["dump", "launch"])
+def test_a_launch_file_that_starts_nothing(prefix: Prefix, verb: str) -> None:
+    path = prefix.file(
+        "a.launch.py",
+        python("def generate_launch_description():\n    return LaunchDescription([])\n"),
+    )
+    done = subprocess.run(
+        [COMMAND, verb, path], check=False, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 2
+    assert "nothing to start: conditions and arguments leave no program\n" in done.stderr
+    assert "mistake" not in done.stderr
+
+
+@pytest.mark.parametrize("verb", ["dump", "launch"])
 @pytest.mark.parametrize("name", ["a.launch.py", "a.launch.xml", "a.launch.yaml"])
 def test_the_missing_package_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: str, name: str

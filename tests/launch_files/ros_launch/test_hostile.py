@@ -160,6 +160,27 @@ def test_a_substitution_that_is_not_closed(prefix: Prefix) -> None:
     assert "\n" not in error
 
 
+@needs_launch
+@pytest.mark.parametrize(
+    ("element", "reason"),
+    [
+        ("<log message='$(nothing x)'/>", "Unknown substitution: nothing"),
+        (
+            "<log message='$(find demo)/x'/>",
+            "Unknown substitution: find; it is of ROS 1, in ROS 2 it is $(find-pkg-share PACKAGE)",
+        ),
+        (
+            "<node pkg='demo' type='talker' name='t'/>",
+            "node has no attribute exec; it was type in ROS 1",
+        ),
+        ("<executable name='t'/>", "executable has no attribute cmd"),
+    ],
+)
+def test_what_is_of_ros_1_or_not_written_right(prefix: Prefix, element: str, reason: str) -> None:
+    error = prefix.error("a.launch.xml", f"<launch>\n  {element}\n</launch>\n")
+    assert error == f"a.launch.xml:2: {reason}"
+
+
 def test_many_processes_are_all_followed(prefix: Prefix) -> None:
     text = python("""
 def generate_launch_description():

@@ -295,6 +295,24 @@ def test_output_that_is_the_default(prefix: Prefix, output: str, found: str) -> 
     assert [each.output for each in processes(prefix.evaluate("a.launch.xml", text))] == [found]
 
 
+@pytest.mark.parametrize(
+    ("output", "found"),
+    [
+        ({"both": "screen"}, "screen"),
+        ({"stdout": "screen", "stderr": "screen"}, "screen"),
+        ({"both": {"log", "screen"}, "stderr": "own_log"}, "screen"),
+        ({"stdout": "log", "stderr": {"own_log"}}, "log"),
+        ({"stdout": "screen", "stderr": "log"}, ""),
+    ],
+)
+def test_output_of_either_stream(prefix: Prefix, output: dict[str, object], found: str) -> None:
+    text = python(f"ExecuteProcess(cmd=['true'], output={output})")
+    evaluated = prefix.evaluate("a.launch.py", text)
+    (process,) = processes(evaluated)
+    assert process.output == found
+    assert [each.what.partition(":")[0] for each in evaluated.losses] == ["output"] * (not found)
+
+
 def test_a_shell(prefix: Prefix) -> None:
     text = python("ExecuteProcess(cmd=['echo', '$HOME', '&&', 'true'], shell=True)")
     (process,) = processes(prefix.evaluate("a.launch.py", text))
