@@ -31,6 +31,7 @@ _SAID: Final = frozenset(
     {"RuntimeError", "Exception", "SubstitutionFailure", "PackageNotFoundError"}
 )
 """Errors whose class adds nothing to their text."""
+_NOT_SET: Final = re.compile(r"launch configuration '(\S+)' does not exist")
 _NO_ATTRIBUTE: Final = re.compile(r"Attribute '(\S+)' of type .* not found in Entity '(\S+)'")
 _OF_ROS_1: Final = {"find": "$(find-pkg-share PACKAGE)", "arg": "$(var NAME)"}
 
@@ -238,6 +239,8 @@ def _text(error: BaseException) -> str:
         return f"a substitution is not written as launch wants it: {text.splitlines()[0]}"
     if instead := _OF_ROS_1.get(text.removeprefix("Unknown substitution: ")):
         return f"{text}; it is of ROS 1, in ROS 2 it is {instead}"
+    if unset := _NOT_SET.fullmatch(text):
+        return f"{text}; declare it, or give it as {unset[1]}:=value"
     if missing := _NO_ATTRIBUTE.match(text):
         hint = "; it was type in ROS 1" if missing[1] == "exec" else ""
         return f"{missing[2]} has no attribute {missing[1]}{hint}"

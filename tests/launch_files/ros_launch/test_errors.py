@@ -172,7 +172,7 @@ def test_a_file_that_is_not_there(prefix: Prefix) -> None:
         (
             "a.launch.xml",
             '<launch>\n <executable cmd="$(var nothing)"/>\n</launch>\n',
-            "a.launch.xml:2: launch configuration 'nothing' does not exist",
+            "a.launch.xml:2: launch configuration 'nothing' does not exist; declare it, or give",
         ),
     ],
 )
