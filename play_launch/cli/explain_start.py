@@ -144,6 +144,8 @@ def _member(
         check_program(command.argv, command.environment, command.cwd)
     except SpawnError as error:
         process = process._replace(problem=str(error))
+    except OSError as error:
+        process = process._replace(problem=str(SpawnError.of(command.argv, error)))
     return process._replace(command=command, parameter_file=text)
 
 

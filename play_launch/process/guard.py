@@ -80,6 +80,7 @@ def check_program(argv: Sequence[str], env: Mapping[str, str], cwd: Path | None)
 
     Raises:
         SpawnError: When there is no such program or folder, or it cannot be executed.
+        OSError: When it may not be looked at.
     """
     if not argv or not argv[0]:
         raise SpawnError(argv, "the command line is empty")
@@ -111,10 +112,9 @@ def _check_interpreter(argv: Sequence[str], path: Path, cwd: Path | None) -> Non
     if not line.startswith(b"#!") or not (words := line[2:].split(maxsplit=1)):
         return
     if line.endswith(b"\r\n"):
-        fix = f"sed -i 's/\\r$//' {shlex.quote(str(path))}"
-        reason = f"its lines end as on Windows, with CR LF; fix: {fix}"
-    elif not (interpreter := Path(cwd or ".") / os.fsdecode(words[0])).exists():
-        reason = f"its first line names {interpreter} to run it, which is missing"
+        reason = f"its lines end with CR LF; fix: sed -i 's/\\r$//' {shlex.quote(str(path))}"
+    elif shutil.which(interpreter := Path(cwd or ".") / os.fsdecode(words[0])) is None:
+        reason = f"its first line names {interpreter} to run it, which is missing or no program"
     else:
         return
     raise SpawnError.of(argv, FileNotFoundError(errno.ENOENT, reason))

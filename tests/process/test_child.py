@@ -239,6 +239,8 @@ async def test_what_cannot_start_is_said(
     ("line", "text"),
     [
         (b"#!/no/such/python3 -u\n", "names /no/such/python3 to run it, which is missing"),
+        (b"#!/etc/passwd\0\n", "which is missing or no program"),
+        (b"#!/etc/passwd\n", "which is missing or no program"),
         (b"#!/usr/bin/env python3\r\n", r"with CR LF; fix: sed -i 's/\r$//'"),
         (b"#! /bin/sh\n", ""),
         (b"#!/bin/sh", ""),
