@@ -256,6 +256,7 @@ def test_what_cannot_be_started_is_named_and_the_rest_explained(tmp_path: Path) 
         {"name": "absent", "package": "nobody_has_this", "executable": "it"},
         {"name": "nowhere", "command": ["sleep", "1"], "cwd": str(tmp_path / "missing")},
         {"name": "unknown", "command": ["no_such_program"]},
+        {"name": "long", "command": [f"/{'x' * 300}"]},
         {"name": "fine", "command": ["sleep", "1"]},
     ]
     path = tmp_path / "missing.yaml"
@@ -265,6 +266,7 @@ def test_what_cannot_be_started_is_named_and_the_rest_explained(tmp_path: Path) 
     assert "package nobody_has_this is not installed" in told["/absent"]["problem"]
     assert str(tmp_path / "missing") in told["/nowhere"]["problem"]
     assert "no such program in PATH" in told["/unknown"]["problem"]
+    assert told["/long"]["problem"].endswith("File name too long")
     assert told["/unknown"]["argv"][0] == "no_such_program"
     assert told["/fine"]["problem"] is None
     text = explain(path, code=1)
