@@ -121,7 +121,8 @@ def report_losses(written: Written) -> None:
     for loss in written.losses:
         note(f"{'note' if loss.is_note else 'not carried over'}: {loss.where}: {loss.what}")
     if not written.containers and not written.processes:
-        note("nothing to start: conditions and arguments leave no program")
+        reason = "" if written.lost else ": conditions and arguments leave no program"
+        note(f"nothing to start{reason}")
         return
     for problem in written.problems:
         note(f"mistake in the result: {problem}")
