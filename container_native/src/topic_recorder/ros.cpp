@@ -10,8 +10,8 @@
 #include <cstdlib>
 #include <iterator>
 #include <map>
-#include <ranges>
 #include <set>
+#include <sstream>
 #include <stdexcept>
 #include <string_view>
 
@@ -267,9 +267,8 @@ bool is_identifier(std::string_view text) {
 
 std::string installed(const std::string& library) {
   const char* const prefixes = std::getenv("AMENT_PREFIX_PATH");
-  for (const auto part :
-       std::string_view(prefixes == nullptr ? "" : prefixes) | std::views::split(':')) {
-    const std::string prefix(part.begin(), part.end());
+  std::istringstream listed(prefixes == nullptr ? "" : prefixes);
+  for (std::string prefix; std::getline(listed, prefix, ':');) {
     std::string path = prefix + "/lib/" + library;
     if (!prefix.empty() && ::access(path.c_str(), R_OK) == 0) {
       return path;
