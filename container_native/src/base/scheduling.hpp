@@ -13,8 +13,8 @@ namespace play_launch {
 
 /// How the scheduler ranks a thread: its policy, with that a priority (1 to 99, for SCHED_FIFO and
 /// SCHED_RR only), and its nice value.
-struct Urgency {
-  std::int16_t policy = 0;  // SCHED_OTHER
+struct alignas(8) Urgency {  // for atomic access without a lock, by any compiler
+  std::int16_t policy = 0;   // SCHED_OTHER
   std::int16_t priority = 0;
   std::int32_t nice = 0;
 

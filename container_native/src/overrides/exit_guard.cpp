@@ -63,7 +63,7 @@ using play_launch::isolation::next_quick_exit;
 
 extern "C" {
 
-[[noreturn, gnu::visibility("default")]] void exit(int status) noexcept {
+[[gnu::visibility("default")]] void exit(int status) noexcept {
   if (ChildRecord* const child = current_child()) {
     end_child(*child, status, "exit()");
   }
@@ -74,7 +74,7 @@ extern "C" {
 
 /// The C library's takes a lock for its first steps, in the memory that all nodes share: after a
 /// node that was ended there, every other abort() of the container would hang.
-[[noreturn, gnu::visibility("default")]] void abort() noexcept {
+[[gnu::visibility("default")]] void abort() noexcept {
   sigset_t only;
   ::sigemptyset(&only);
   ::sigaddset(&only, SIGABRT);
@@ -90,7 +90,7 @@ extern "C" {
   }
 }
 
-[[noreturn, gnu::visibility("default")]] void quick_exit(int status) noexcept {
+[[gnu::visibility("default")]] void quick_exit(int status) noexcept {
   if (ChildRecord* const child = current_child()) {
     end_child(*child, status, "quick_exit()");
   }
@@ -100,7 +100,7 @@ extern "C" {
 }
 
 /// The first thread only lends its name to a thread of the container, which must not end here.
-[[noreturn, gnu::visibility("default")]] void pthread_exit(void* result) {
+[[gnu::visibility("default")]] void pthread_exit(void* result) {
   ChildRecord* const child = current_child();
   if (child != nullptr && ::gettid() == ::getpid()) {
     end_child(*child, 0, "pthread_exit() in the first thread");

@@ -162,11 +162,12 @@ rcl_interfaces::msg::ListParametersResult ParameterStore::list(
   rcl_interfaces::msg::ListParametersResult result;
   const std::lock_guard lock(mutex_);
   for (const auto& [name, entry] : entries_) {
-    const bool listed = prefixes.empty() ? within_depth(name, 0, depth)
-                                         : std::any_of(prefixes.begin(), prefixes.end(),
-                                                       [&](const std::string& prefix) {
-                                                         return listed_under(name, prefix, depth);
-                                                       });
+    const bool listed = prefixes.empty()
+                            ? within_depth(name, 0, depth)
+                            : std::any_of(prefixes.begin(), prefixes.end(),
+                                          [&, &name = name](const std::string& prefix) {
+                                            return listed_under(name, prefix, depth);
+                                          });
     if (!listed) continue;
     result.names.push_back(name);
     const auto last = name.rfind(kSeparator);
