@@ -27,7 +27,7 @@ test *arguments:
 search *arguments:
     {{python}} -m pytest --hypothesis-profile search {{arguments}}
 
-# Run all tests with the lowest versions of the dependencies and extras that are permitted.
+# Run all tests but those of style with the lowest versions of the dependencies and extras that are permitted.
 lowest:
     python3 -m venv build/lowest
     build/lowest/bin/pip install 'pip>=25.1'

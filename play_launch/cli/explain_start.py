@@ -142,8 +142,6 @@ def _member(
     command = replace(command, environment={**command.environment, **variables})
     try:
         check_program(command.argv, command.environment, command.cwd)
-    except SpawnError as error:
-        process = process._replace(problem=str(error))
     except OSError as error:
         process = process._replace(problem=str(SpawnError.of(command.argv, error)))
     return process._replace(command=command, parameter_file=text)

@@ -79,29 +79,27 @@ def check_program(argv: Sequence[str], env: Mapping[str, str], cwd: Path | None)
     """Check the program before the guard runs, whose own message would be output.
 
     Raises:
-        SpawnError: When there is no such program or folder, or it cannot be executed.
-        OSError: When it may not be looked at.
+        OSError: When there is no such program or folder, or it cannot be executed.
     """
     if not argv or not argv[0]:
-        raise SpawnError(argv, "the command line is empty")
+        raise OSError(0, "the command line is empty")
     if cwd is not None and not cwd.is_dir():
-        reason = FileNotFoundError(2, f"its working directory is no directory: {cwd}")
-        raise SpawnError.of(argv, reason)
+        raise FileNotFoundError(errno.ENOENT, f"its working directory is no directory: {cwd}")
     program = argv[0]
     path = Path(cwd or ".") / program
     if "/" not in program:
         found = shutil.which(program, path=env.get("PATH", os.defpath))
         if found is None:
-            raise SpawnError.of(argv, FileNotFoundError(2, "no such program in PATH"))
+            raise FileNotFoundError(errno.ENOENT, "no such program in PATH")
         path = Path(found)
     elif not path.exists():
-        raise SpawnError.of(argv, FileNotFoundError(2, "no such file"))
+        raise FileNotFoundError(errno.ENOENT, "no such file")
     elif not path.is_file() or not os.access(path, os.X_OK):
-        raise SpawnError.of(argv, PermissionError(13, "it is not an executable file"))
-    _check_interpreter(argv, path, cwd)
+        raise PermissionError(errno.EACCES, "it is not an executable file")
+    _check_interpreter(path, cwd)
 
 
-def _check_interpreter(argv: Sequence[str], path: Path, cwd: Path | None) -> None:
+def _check_interpreter(path: Path, cwd: Path | None) -> None:
     """Check what a script names in its first line: Linux would report the script as missing."""
     try:
         # Linux reads as much. What may be executed need not be readable, or not at once.
@@ -111,13 +109,15 @@ def _check_interpreter(argv: Sequence[str], path: Path, cwd: Path | None) -> Non
         return
     if not line.startswith(b"#!") or not (words := line[2:].split(maxsplit=1)):
         return
-    if line.endswith(b"\r\n"):
+    interpreter = Path(cwd or ".") / os.fsdecode(words[0])
+    # Perl takes a carriage return behind its options.
+    if line.endswith(b"\r\n") and (len(words) == 1 or interpreter.name == "env"):
         reason = f"its lines end with CR LF; fix: sed -i 's/\\r$//' {shlex.quote(str(path))}"
-    elif shutil.which(interpreter := Path(cwd or ".") / os.fsdecode(words[0])) is None:
+    elif shutil.which(interpreter) is None:
         reason = f"its first line names {interpreter} to run it, which is missing or no program"
     else:
         return
-    raise SpawnError.of(argv, FileNotFoundError(errno.ENOENT, reason))
+    raise FileNotFoundError(errno.ENOENT, reason)
 
 
 @dataclass(eq=False, slots=True)

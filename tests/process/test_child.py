@@ -242,6 +242,8 @@ async def test_what_cannot_start_is_said(
         (b"#!/etc/passwd\0\n", "which is missing or no program"),
         (b"#!/etc/passwd\n", "which is missing or no program"),
         (b"#!/usr/bin/env python3\r\n", r"with CR LF; fix: sed -i 's/\r$//'"),
+        (b"#! /bin/sh\r\n", r"with CR LF; fix: sed -i 's/\r$//'"),
+        (b"#!/bin/echo -n\r\n", ""),
         (b"#! /bin/sh\n", ""),
         (b"#!/bin/sh", ""),
         (b"#!\n", ""),
