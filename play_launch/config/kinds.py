@@ -64,10 +64,10 @@ def _substitutable(*forms: JsonSchema) -> JsonSchema:
     return any_of(*forms, _SUBSTITUTION)
 
 
-_NUMBER_AND_UNIT: Final = r"^\s*([-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+))\s*"
-_DURATION_FORM: Final = _substitutable(
-    {"type": "number", "minimum": 0}, _pattern(rf"{_NUMBER_AND_UNIT}(us|ms|s|min|h)?\s*$")
-)
+_NUMBER_AND_UNIT: Final = r"^\s*(\+?([0-9]+(\.[0-9]*)?|\.[0-9]+))\s*"
+_DURATION_TEXT: Final = _pattern(rf"{_NUMBER_AND_UNIT}(us|ms|s|min|h)?\s*$")
+_DURATION_FORM: Final = _substitutable({"type": "number", "minimum": 0}, _DURATION_TEXT)
+_POSITIVE_FORM: Final = _substitutable({"type": "number", "exclusiveMinimum": 0}, _DURATION_TEXT)
 _SIZE_FORM: Final = _substitutable(
     {"type": "number", "exclusiveMinimum": 0},
     _pattern(rf"{_NUMBER_AND_UNIT}([kMGT]?B|[KMGT]iB)?\s*$"),
@@ -249,9 +249,9 @@ BOOLEAN: Final[ValueKind[bool]] = ValueKind(
 )
 THREADS: Final = integer(1, 1024)
 DURATION: Final = _parsed(parse_duration, _DURATION_FORM)
-POSITIVE_DURATION: Final = _parsed(parse_positive_duration, _DURATION_FORM)
+POSITIVE_DURATION: Final = _parsed(parse_positive_duration, _POSITIVE_FORM)
 POSITIVE_DURATION_OR_NEVER: Final = _parsed(
-    _or("never", parse_positive_duration), _DURATION_FORM, _NEVER_FORM
+    _or("never", parse_positive_duration), _POSITIVE_FORM, _NEVER_FORM
 )
 SAMPLING_PERIOD: Final = _parsed(_or("never", _parse_sampling_period), _DURATION_FORM, _NEVER_FORM)
 SIZE: Final = _parsed(parse_size, _SIZE_FORM)
@@ -291,7 +291,7 @@ PLUGIN: Final = _text(_check_plugin)
 ROS_ARGUMENTS: Final = list_of(_text(_check_ros_argument))
 VERSION: Final = _checked(
     _check_version,
-    ValueKind(core_schema.int_schema(strict=True), _substitutable({"type": "integer"})),
+    ValueKind(core_schema.int_schema(strict=True), _substitutable({"const": 1})),
 )
 REGULAR_EXPRESSION: Final = _text(_check_regular_expression)
 

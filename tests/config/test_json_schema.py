@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
+from jsonschema import Draft7Validator
 
 from play_launch.cli.init import SCHEMA_FILE, schema_text
 from play_launch.config import schema, sections
@@ -16,7 +17,6 @@ from play_launch.config.load import parse_config
 from play_launch.config.problems import ConfigError
 from play_launch.config.schema_export import json_schema
 from play_launch.config.section import ConfigSection
-from tests.config.schema_check import problems
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = sorted((ROOT / "configs").glob("*.yaml"))
@@ -29,6 +29,16 @@ SECTIONS = {
     and not found.__subclasses__()
 }
 """Those that stand somewhere, not what they are made of."""
+
+
+def problems(value: Any, schema: Any) -> list[str]:
+    return [error.message for error in Draft7Validator(schema).iter_errors(value)]
+
+
+def test_it_is_a_json_schema_without_unknown_words() -> None:
+    closed = {**Draft7Validator.META_SCHEMA, "additionalProperties": False}
+    del closed["$id"]  # else its references to itself would be to the open one
+    assert not problems(json_schema(), closed)
 
 
 def test_the_installed_schema_is_that_of_the_program() -> None:
@@ -46,8 +56,9 @@ def test_texts_are_sentences_with_examples_that_fit(section: str, key: str) -> N
     assert about.examples
     found = json_schema()
     definition = found["definitions"].get(section.removesuffix("Section").lower(), found)
+    schema = definition["properties"][key] | {"definitions": found["definitions"]}
     for example in about.examples:
-        assert not problems(example, definition["properties"][key], found), example
+        assert not problems(example, schema), example
 
 
 @pytest.mark.parametrize("file", SAMPLES, ids=lambda file: file.stem)
@@ -82,9 +93,16 @@ def container(**keys: Any) -> dict[str, Any]:
         {},
         {"version": 1, "nodes": [{"command": "x"}]},
         {"version": "1", "nodes": [{"command": ["x"]}]},
+        {"version": 2, "nodes": [{"command": ["x"]}]},
         {"version": 1, "nodes": [{"command": []}]},
         {"version": 1, "nodes": [{"comand": ["x"]}]},
         {"version": 1, "duration": "5 parsecs", "nodes": [{"command": ["x"]}]},
+        {"version": 1, "duration": "-5 s", "nodes": [{"command": ["x"]}]},
+        {
+            "version": 1,
+            "composable_node_loading": {"loading_timeout": 0},
+            "containers": [{"name": "c"}],
+        },
         {"version": 1, "record": {"budget": "5 MBit"}, "nodes": [{"command": ["x"]}]},
         {"version": 1, "record": {"sync": "rarely"}, "nodes": [{"command": ["x"]}]},
         {"version": 1, "nodes": [{"command": ["x"], "on_exit": "explode"}]},
