@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from play_launch.control.client import ControlClient, SessionInfo
 
 _POLL: Final = 0.05
+_SILENT: Final = 1.0
+"""Seconds for which a wait for a session is not worth a line."""
 _EXIT_CODES: Final = {
     Code.BAD_ARGUMENTS: ExitCode.USAGE,
     Code.UNKNOWN_NAME: ExitCode.USAGE,
@@ -60,6 +62,7 @@ def connected(
 def _connect(session: str | None, deadline: float | None) -> ControlClient:
     if deadline is None:
         return connect(session)
+    tell_at = time.monotonic() + _SILENT
     while True:
         left = deadline - time.monotonic()
         try:
@@ -69,6 +72,9 @@ def _connect(session: str | None, deadline: float | None) -> ControlClient:
         except NoSessionError:
             if left < _POLL:
                 raise
+            if time.monotonic() > tell_at:
+                note(f"waiting for {f'session {session}' if session else 'a session'}")
+                tell_at = deadline
             time.sleep(_POLL)
 
 

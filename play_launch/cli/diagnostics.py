@@ -72,10 +72,10 @@ def diagnostics(
     """
     if as_json and not listen:
         fail("--json: only with --listen")
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
     with connected(session, deadline=time.monotonic() + _START) as client:
+        stop = threading.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: stop.set())
         enter_environment_of(client)
         from diagnostic_msgs.msg import DiagnosticArray  # noqa: PLC0415 - slow
 

@@ -143,3 +143,21 @@ def test_what_nodes_report_can_be_followed(tmp_path: Path) -> None:
             assert values.wait(20) == 0
         replay.read_all()
     run("diagnostics", "--json", code=2)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_may_be_ended_while_there_is_no_session(tmp_path: Path, number: signal.Signals) -> None:
+    with subprocess.Popen(
+        [COMMAND, "diagnostics"],
+        env=os.environ | {"XDG_RUNTIME_DIR": str(tmp_path)},
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as waiting:
+        assert waiting.stderr is not None
+        assert waiting.stderr.readline() == "waiting for a session\n"
+        waiting.send_signal(number)
+        try:
+            # By itself it would wait for a minute.
+            assert waiting.wait(timeout=20) == -number
+        finally:
+            waiting.kill()
