@@ -51,10 +51,12 @@ def completion(
     """  # noqa: D301 - typer's mark of lines that stay as they are
     from typer import completion as of_typer  # noqa: PLC0415 - not at Tab
 
+    from play_launch.cli.output import say  # noqa: PLC0415 - not at Tab
+
     script: str = of_typer.get_completion_script(  # type: ignore[attr-defined]
         prog_name="play-launch", complete_var=COMPLETE_VARIABLE, shell=shell
     )
-    sys.stdout.write(f"{script}\n")
+    say(script)
 
 
 def sessions(_ctx: typer.Context, incomplete: str) -> list[tuple[str, str]]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import importlib.metadata
 import re
-import sys
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import typer
 
 from play_launch import ExitCode
+from play_launch.cli.output import say
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,7 +35,7 @@ def manual(
     play-launch manual | less
     play-launch manual --format man > ~/.local/share/man/man1/play-launch.1
     """  # noqa: D301 - typer's mark of lines that stay as they are
-    sys.stdout.write(manual_as(form))
+    say(manual_as(form).removesuffix("\n"))
     return ExitCode.OK
 
 

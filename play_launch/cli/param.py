@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
@@ -102,7 +101,7 @@ def dump(
         import yaml  # noqa: PLC0415 - not for the others
 
         values = {node: {"ros__parameters": each} for node, each in found.items()}
-        sys.stdout.write(yaml.safe_dump(values, sort_keys=True, default_flow_style=None))
+        say(yaml.safe_dump(values, sort_keys=True, default_flow_style=None).removesuffix("\n"))
     for each in missing:
         (report if nodes else warn)(each)
     return ExitCode.NODE_FAILED if missing and (nodes or not found) else ExitCode.OK

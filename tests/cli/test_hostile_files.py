@@ -417,6 +417,17 @@ def test_a_reader_that_has_gone_ends_the_command(tmp_path: Path) -> None:
         assert result.stdout.count("\n") == 1
 
 
+@pytest.mark.parametrize("words", [("manual",), ("completion", "bash"), ("schema",)])
+def test_a_reader_that_has_gone_is_no_error(words: tuple[str, ...]) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    result = finished(
+        [COMMAND, *words], capture_output=False, stdout=writing, stderr=subprocess.PIPE
+    )
+    os.close(writing)
+    assert (result.returncode, result.stderr) == (0, "")
+
+
 def test_a_recording_that_is_being_written_is_read_as_far_as_it_is(tmp_path: Path) -> None:
     made = Scene()
     made.started()

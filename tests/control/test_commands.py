@@ -427,6 +427,8 @@ def test_parameters_are_read_and_set(
         assert "and the parameter is a double" in refused
         dumped = ask("param", "dump", "/talker", "/camera")
         assert "/talker:\n  ros__parameters:" in dumped
+        with Path("/dev/full").open("w") as full:
+            run("param", "dump", "/talker", code=2, capture_output=False, stdout=full)
 
 
 def test_nodes_are_waited_for_and_parameters_offered(config: Path, tmp_path: Path) -> None:
