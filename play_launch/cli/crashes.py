@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +10,7 @@ import msgspec
 
 from play_launch import ExitCode
 from play_launch.cli import options
-from play_launch.cli.output import counted, fail, printable, say, warn
+from play_launch.cli.output import clock, counted, fail, printable, say, warn
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.comparison import CrashGroup, CrashGroups
 from play_launch.postmortem.timeline import read_timeline
@@ -99,8 +98,5 @@ def _lines(group: CrashGroup) -> Iterator[str]:
 
 
 def _when(group: CrashGroup) -> str:
-    first, last = (
-        datetime.fromtimestamp(ns / 1e9).astimezone().strftime("%Y-%m-%d %H:%M:%S")
-        for ns in (group.first_ns, group.last_ns)
-    )
+    first, last = (clock(ns, "%Y-%m-%d %H:%M:%S") for ns in (group.first_ns, group.last_ns))
     return f"at {first}" if group.count == 1 else f"first at {first}, last at {last}"

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from play_launch import ExitCode
 from play_launch.cli import options
-from play_launch.cli.output import counted, note, printable, say, warn
+from play_launch.cli.output import clock, counted, note, printable, say, warn
 from play_launch.postmortem.timeline import read_timeline
 from play_launch.recording.topics import DROPS_METADATA, PART_METADATA
 
@@ -82,7 +81,6 @@ def session_object(timeline: Timeline) -> dict[str, Any]:
 
 def _lines(found: dict[str, Any]) -> list[str]:
     about = found["session"]
-    started = datetime.fromtimestamp(found["started_ns"] / 1e9).astimezone()
     state = "" if found["complete"] else ", not complete"
     files = "" if len(found["files"]) == 1 else f"{len(found['files'])} files, "
     if files == "" and found["part"] is not None:
@@ -91,7 +89,7 @@ def _lines(found: dict[str, Any]) -> list[str]:
         "File": f"{found['path']} ({files}{found['bytes']:,} bytes{state})",
         "Session": f"{about.get('name', 'unknown')} ({about.get('id', 'no id')}), "
         f"play-launch {about.get('play_launch_version') or 'of an unknown version'}",
-        "Start": f"{started:%Y-%m-%d %H:%M:%S.%f %z}",
+        "Start": clock(found["started_ns"], "%Y-%m-%d %H:%M:%S.%3N %z"),
         "Duration": f"{found['duration_s']:.3f} s",
         "System": ", ".join(
             (

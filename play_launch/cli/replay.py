@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -119,7 +118,6 @@ def bring_up(
     _require_machine()
     _require_ros()
     _require_log_folder(loaded)
-    _require_time_zone()
     from play_launch.cli.run import RunOptions, run  # noqa: PLC0415
     from play_launch.config.substitutions import parse_arguments  # noqa: PLC0415
     from play_launch.control.config_watch import Watched  # noqa: PLC0415
@@ -184,13 +182,6 @@ def _log_folder_problem(environ: Mapping[str, str]) -> str:
     if os.access(there, os.W_OK | os.X_OK):
         return ""
     return f"ROS cannot write log files into {folder}: {there} is not writable; set ROS_LOG_DIR"
-
-
-def _require_time_zone() -> None:
-    try:
-        datetime.now().astimezone()
-    except ValueError:
-        fail(f"TZ={os.environ.get('TZ', '')} is no time zone: it is a day or more away from UTC")
 
 
 def _require_machine() -> None:

@@ -12,9 +12,9 @@ import os
 import re
 import shutil
 import sys
+import time
 import uuid
 from contextlib import suppress
-from datetime import datetime
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -95,8 +95,7 @@ def open_session(
     """
     record, clock = record or RecordConfig(), clock or SessionClock()
     root = log_folder or default_log_folder(description.environ)
-    now = datetime.now().astimezone()
-    folder = create_session_folder(root.expanduser(), description.name, now)
+    folder = create_session_folder(root.expanduser(), description.name, time.localtime())
     session_id = str(uuid.uuid4())
     try:
         writer = BagWriter(
@@ -212,13 +211,13 @@ def default_log_folder(environ: Mapping[str, str] = os.environ) -> Path:
     return Path(ros).expanduser() / "play_launch"
 
 
-def create_session_folder(log_folder: Path, name: str, now: datetime) -> Path:
+def create_session_folder(log_folder: Path, name: str, now: time.struct_time) -> Path:
     """Make a new folder for the session.
 
     A second session of the same name in the same second gets ``-2`` appended, and so on. Raises
     :class:`RecordingError`.
     """
-    stem = f"{now:%Y-%m-%d-%H-%M-%S}-{_file_name(name)}"
+    stem = f"{time.strftime('%Y-%m-%d-%H-%M-%S', now)}-{_file_name(name)}"
     try:
         log_folder.mkdir(parents=True, exist_ok=True)
         for number in count(1):

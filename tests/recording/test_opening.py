@@ -72,7 +72,7 @@ def test_the_head_of_a_recording_tells_everything_about_the_run(tmp_path: Path) 
     assert [read.message.msg for read in messages(summary.path)] == ["m"]
 
 
-NOW = datetime(2026, 11, 21, 6, 36, 25, tzinfo=UTC)
+NOW = datetime(2026, 11, 21, 6, 36, 25, tzinfo=UTC).timetuple()
 
 
 def test_the_default_log_folder_follows_the_environment() -> None:

@@ -180,7 +180,7 @@ def test_the_oldest_is_what_began_first_whatever_the_clock_said(tmp_path: Path) 
         *[datetime(1970, 1, 1, tzinfo=UTC)] * 2,  # without a battery, and before any network
         datetime(2025, 1, 1, tzinfo=UTC),
     ]
-    made = [create_session_folder(tmp_path, "robot", time) for time in times]
+    made = [create_session_folder(tmp_path, "robot", time.timetuple()) for time in times]
     for each in made:
         announce(each)
     for folder in made:
