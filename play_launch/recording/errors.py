@@ -36,6 +36,8 @@ def reason(cause: OSError) -> str:
 def _fix(cause: OSError) -> str:
     if cause.errno in (errno.ENOSPC, errno.EDQUOT):
         return "free some space, or choose another place with --log-dir DIR"
+    if cause.errno == errno.EFBIG:
+        return "set record.rotate.size to less than the limit (ulimit -f)"
     if cause.errno == errno.ENOENT:  # it was opened before
         return "it, or its folder, was removed; the next start records again"
     return "choose another place with --log-dir DIR"

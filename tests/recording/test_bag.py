@@ -102,29 +102,37 @@ def test_quality_of_service_is_read_by_others(tmp_path: Path) -> None:
 class FullDisk:
     """Stands for ``os.pwrite`` on a file system with a given number of bytes left."""
 
-    def __init__(self, left: int) -> None:
+    def __init__(self, left: int, error: int = errno.ENOSPC) -> None:
         self.left = left
+        self.error = error
         self.write = os.pwrite
 
     def __call__(self, descriptor: int, data: memoryview, at: int) -> int:
         if self.left == 0:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            raise OSError(self.error, os.strerror(self.error))
         count = self.write(descriptor, data[: self.left], at)
         self.left -= count
         return count
 
 
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (errno.ENOSPC, r"No space left .*; free some space"),
+        (errno.EFBIG, r"File too large; set record\.rotate\.size"),
+    ],
+)
 def test_a_full_disk_keeps_every_complete_chunk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    error: int, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writer = BagWriter(tmp_path / "x.mcap")
     channel = writer.register(OUTPUT)
     write_lines(writer, channel, 0, 10)
     writer.flush()
     before = writer.bytes_written
-    monkeypatch.setattr(os, "pwrite", FullDisk(100))
+    monkeypatch.setattr(os, "pwrite", FullDisk(100, error))
     write_lines(writer, channel, 10, 10)
-    with pytest.raises(WriteFailedError, match=r"No space left .*; free some space") as caught:
+    with pytest.raises(WriteFailedError, match=words) as caught:
         writer.flush()
     assert str(writer.path) in str(caught.value)
     assert writer.path.stat().st_size == before
