@@ -26,6 +26,7 @@ from play_launch.cli.show.display import (
     Style,
     encode,
 )
+from play_launch.cli.show.summary import Summary
 from play_launch.control.feed import Feed
 from play_launch.control.registration import ControlSocket
 from play_launch.process import open_files
@@ -293,8 +294,6 @@ def _announce(config: ReplayConfig, session: Session, options: RunOptions) -> No
 def _sum_up(
     outcome: RunOutcome, recording: RecordingSummary, used: GroupTotals, options: RunOptions
 ) -> None:
-    from play_launch.cli.show.summary import Summary  # noqa: PLC0415
-
     summary = Summary(outcome.view, outcome.final_view, recording, used.get())
     if options.as_json:
         say_live(encode(summary.as_object(outcome.exit_code)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import sys
 from collections import Counter
@@ -141,3 +142,22 @@ def test_the_system_continues_without_a_service_that_fails_and_reports_that(
         assert replay.process.poll() is None
         replay.process.send_signal(signal.SIGINT)
         assert replay.read_all()[-1]["exit_code"] == 128 + signal.SIGINT
+
+
+def test_a_system_goes_on_and_ends_in_order_where_the_package_is_removed(tmp_path: Path) -> None:
+    """As while it is upgraded: what is missed at the end should have been imported before."""
+    copy = tmp_path / "copy" / "play_launch"
+    shutil.copytree(ROOT / "play_launch", copy)
+    config = written(tmp_path, containers=[container("chat", node("talker"), container_type="isolated")])
+    run = "from play_launch.cli.entry import main; main()"
+    program = ("env", f"PYTHONPATH={copy.parent}", sys.executable, "-P", "-c", run)
+    with replaying(config, tmp_path / "logs", program=program) as replay:
+        replay.read_until_up("/talker")
+        replay.until_operable()
+        shutil.rmtree(copy)
+        os.kill(replay.pids()["/talker"], signal.SIGSEGV)
+        replay.until(event="component", kind="crashed")
+        replay.until(event="node", node="/talker", state="loaded")
+        replay.process.send_signal(signal.SIGINT)
+        assert replay.read_all()[-1]["exit_code"] == 128 + signal.SIGINT
+    assert recorded(replay.bag, "/play_launch/states")
