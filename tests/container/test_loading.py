@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import psutil
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlUnload
 
+from tests.container.conftest import prefix_of
 from tests.support.control_peer import Container, StartContainer
 from tests.support.isolated import ALL_MODES, MODES, children, only_these_remain, start, survives
 from tests.support.ros import Probe
@@ -116,6 +118,33 @@ def test_a_missing_library_and_a_damaged_index(
         container.load("damaged::Node", package="damaged")
         assert "is not of the form class;library" in container.event(LOAD_FAILED).error_message
         container.loaded("Talker", package=package)
+
+
+@pytest.mark.parametrize("mode", ["standard", "isolated"])
+def test_a_library_that_was_built_anew_is_the_old_one_and_the_log_says_so(
+    spawn: StartContainer, package: str, mode: str, tmp_path: Path
+) -> None:
+    prefix = prefix_of(package) or Path(sys.prefix)
+    index = tmp_path / "share" / "ament_index" / "resource_index" / INDEX[package]
+    index.mkdir(parents=True)
+    for line in (prefix / index.relative_to(tmp_path) / package).read_text().splitlines():
+        if "::Talker;" in line:
+            plugin, library = line.split(";")
+            (index / "mine").write_text(f"{plugin};lib/mine.so\n")
+            built = prefix / library
+    mine = tmp_path / "lib" / "mine.so"
+    mine.parent.mkdir()
+    shutil.copyfile(built, mine)
+    paths = filter(None, [str(tmp_path), os.environ.get("AMENT_PREFIX_PATH"), sys.prefix])
+    container = start(spawn, mode, environment={"AMENT_PREFIX_PATH": os.pathsep.join(paths)})
+    said = f"{mine} has changed since it was loaded: node /second gets the code as it was"
+    container.loaded(plugin, package="mine", node_name="first")
+    shutil.copyfile(built, mine.with_name("new"))
+    mine.with_name("new").replace(mine)
+    assert said not in container.log.read_text()
+    container.loaded(plugin, package="mine", node_name="second")
+    assert said in container.log.read_text()
+    assert "node /first" not in container.log.read_text()
 
 
 def test_of_a_failure_s_long_text_the_beginning_is_reported(container: Container) -> None:

@@ -15,6 +15,22 @@
 #include "overrides/type_supports.hpp"
 
 namespace play_launch::container {
+namespace {
+
+struct stat file_state(const std::string& path) noexcept {
+  struct stat found{};
+  if (::stat(path.c_str(), &found) != 0) {
+    found = {};
+  }
+  return found;
+}
+
+bool is_same(const struct stat& one, const struct stat& other) noexcept {
+  return one.st_size == other.st_size && one.st_mtim.tv_sec == other.st_mtim.tv_sec &&
+         one.st_mtim.tv_nsec == other.st_mtim.tv_nsec;
+}
+
+}  // namespace
 
 LibraryLoader::~LibraryLoader() {
   {
@@ -47,7 +63,13 @@ const ComponentLibrary& LibraryLoader::open(ComponentBackend& backend, const std
   const Key key(&backend, path);
   std::unique_lock lock(mutex_);
   if (const auto found = open_.find(key); found != open_.end()) {
-    return *found->second;
+    const Opened& opened = found->second;
+    lock.unlock();
+    if (!is_same(opened.file, file_state(path))) {
+      report(path + " has changed since it was loaded: node " + node +
+             " gets the code as it was, until the container is restarted");
+    }
+    return *opened.library;
   }
   const std::shared_ptr<Order> order = this->order(backend, path, node);
   waiting_.emplace(unique_id, order);
@@ -57,7 +79,7 @@ const ComponentLibrary& LibraryLoader::open(ComponentBackend& backend, const std
   if (!order->failure.empty()) {
     throw LoadError(order->failure);
   }
-  return *open_.at(key);
+  return *open_.at(key).library;
 }
 
 std::string LibraryLoader::opening_for(std::uint64_t unique_id) const {
@@ -86,11 +108,12 @@ void LibraryLoader::work() {
 
 void LibraryLoader::carry_out(Order& order) {
   try {
+    const struct stat file = file_state(order.path);
     const OpeningGuard guard(order.node, order.path);
     std::unique_ptr<ComponentLibrary> library = open_library(order.backend, order.path);
     isolation::look_up_type_supports(order.path.c_str());
     const std::lock_guard lock(mutex_);
-    open_.emplace(Key(&order.backend, order.path), std::move(library));
+    open_.emplace(Key(&order.backend, order.path), Opened{std::move(library), file});
   } catch (...) {
     order.failure = describe_current_exception();
   }

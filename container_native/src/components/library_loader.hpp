@@ -1,6 +1,7 @@
 #pragma once
 
 #include <signal.h>
+#include <sys/stat.h>
 
 #include <array>
 #include <condition_variable>
@@ -23,7 +24,8 @@ namespace play_launch::container {
 /// not go down with the first node that needs the library. A library that is open is never given to
 /// the dynamic loader again, whose lock is held for as long as another one's initialisers run.
 /// Libraries stay open: code of a library may be needed until the process ends, for example by a
-/// message's deleter, a thread_local or a handler it registered.
+/// message's deleter, a thread_local or a handler it registered. Where the file has changed since,
+/// the container's log says so.
 ///
 /// All members may be called from several threads of the container, none from a child.
 class LibraryLoader {
@@ -52,6 +54,10 @@ class LibraryLoader {
     std::string failure;
   };
   using Key = std::pair<const ComponentBackend*, std::string>;
+  struct Opened {
+    std::unique_ptr<ComponentLibrary> library;
+    struct stat file;  // of all zeros where it could not be read
+  };
 
   std::shared_ptr<Order> order(ComponentBackend& backend, const std::string& path,
                                const std::string& node);
@@ -60,7 +66,7 @@ class LibraryLoader {
 
   mutable std::mutex mutex_;  // guards what follows; never held while a library is opened
   std::condition_variable changed_;
-  std::map<Key, std::unique_ptr<ComponentLibrary>> open_;
+  std::map<Key, Opened> open_;                 // nothing is removed
   std::deque<std::shared_ptr<Order>> orders_;  // the first one is being carried out
   std::map<std::uint64_t, std::shared_ptr<Order>> waiting_;
   bool done_ = false;
