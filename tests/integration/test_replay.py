@@ -148,7 +148,9 @@ def test_a_system_goes_on_and_ends_in_order_where_the_package_is_removed(tmp_pat
     """As while it is upgraded: what is missed at the end should have been imported before."""
     copy = tmp_path / "copy" / "play_launch"
     shutil.copytree(ROOT / "play_launch", copy)
-    config = written(tmp_path, containers=[container("chat", node("talker"), container_type="isolated")])
+    config = written(
+        tmp_path, containers=[container("chat", node("talker"), container_type="isolated")]
+    )
     run = "from play_launch.cli.entry import main; main()"
     program = ("env", f"PYTHONPATH={copy.parent}", sys.executable, "-P", "-c", run)
     with replaying(config, tmp_path / "logs", program=program) as replay:
