@@ -41,7 +41,6 @@ LATER = {
     "play_launch.cli.daemon",
     "play_launch.cli.doctor",
     "play_launch.cli.node",
-    "play_launch.cli.show.summary",
     "play_launch.control.client",
     "play_launch.control.operations",
     "play_launch.control.server",
