@@ -74,6 +74,14 @@ FAILURES_OF: dict[str, list[Failure]] = {
 INDEX = {"play_launch_demo": "play_launch_components", "test_components": "rclcpp_components"}
 
 
+def index_in(prefix: Path, package: str) -> tuple[Path, dict[str, str]]:
+    """A folder for components like those of a package, and the variables to find them first."""
+    index = prefix / "share" / "ament_index" / "resource_index" / INDEX[package]
+    index.mkdir(parents=True)
+    paths = filter(None, [str(prefix), os.environ.get("AMENT_PREFIX_PATH"), sys.prefix])
+    return index, {"AMENT_PREFIX_PATH": os.pathsep.join(paths)}
+
+
 @pytest.mark.parametrize("mode", ["standard", "isolated"])
 def test_failures_have_reasons_and_leave_nothing(
     spawn: StartContainer, package: str, mode: str, probe: Probe
@@ -105,12 +113,10 @@ def test_failures_have_reasons_and_leave_nothing(
 def test_a_missing_library_and_a_damaged_index(
     spawn: StartContainer, package: str, tmp_path: Path
 ) -> None:
-    index = tmp_path / "share" / "ament_index" / "resource_index" / INDEX[package]
-    index.mkdir(parents=True)
+    index, environment = index_in(tmp_path, package)
     (index / "gone").write_text("gone::Node;lib/libgone.so\n")
     (index / "damaged").write_text("damaged::Node\n")
-    paths = filter(None, [str(tmp_path), os.environ.get("AMENT_PREFIX_PATH"), sys.prefix])
-    container = start(spawn, environment={"AMENT_PREFIX_PATH": os.pathsep.join(paths)})
+    container = start(spawn, environment=environment)
     with survives(container):
         container.load("gone::Node", package="gone")
         failed = container.event(LOAD_FAILED)
@@ -125,18 +131,15 @@ def test_a_library_that_was_built_anew_is_the_old_one_and_the_log_says_so(
     spawn: StartContainer, package: str, mode: str, tmp_path: Path
 ) -> None:
     prefix = prefix_of(package) or Path(sys.prefix)
-    index = tmp_path / "share" / "ament_index" / "resource_index" / INDEX[package]
-    index.mkdir(parents=True)
-    for line in (prefix / index.relative_to(tmp_path) / package).read_text().splitlines():
-        if "::Talker;" in line:
-            plugin, library = line.split(";")
-            (index / "mine").write_text(f"{plugin};lib/mine.so\n")
-            built = prefix / library
+    index, environment = index_in(tmp_path, package)
+    lines = (prefix / index.relative_to(tmp_path) / package).read_text().splitlines()
+    plugin, library = next(line for line in lines if "::Talker;" in line).split(";")
+    (index / "mine").write_text(f"{plugin};lib/mine.so\n")
+    built = prefix / library
     mine = tmp_path / "lib" / "mine.so"
     mine.parent.mkdir()
     shutil.copyfile(built, mine)
-    paths = filter(None, [str(tmp_path), os.environ.get("AMENT_PREFIX_PATH"), sys.prefix])
-    container = start(spawn, mode, environment={"AMENT_PREFIX_PATH": os.pathsep.join(paths)})
+    container = start(spawn, mode, environment=environment)
     said = f"{mine} has changed since it was loaded: node /second gets the code as it was"
     container.loaded(plugin, package="mine", node_name="first")
     shutil.copyfile(built, mine.with_name("new"))

@@ -8,6 +8,7 @@
 #include <atomic>
 #include <cerrno>
 #include <cstdlib>
+#include <system_error>
 
 #include "base/report.hpp"
 #include "isolation/record/own_signals.hpp"
@@ -17,17 +18,9 @@
 namespace play_launch::container {
 namespace {
 
-struct stat file_state(const std::string& path) noexcept {
-  struct stat found{};
-  if (::stat(path.c_str(), &found) != 0) {
-    found = {};
-  }
-  return found;
-}
-
-bool is_same(const struct stat& one, const struct stat& other) noexcept {
-  return one.st_size == other.st_size && one.st_mtim.tv_sec == other.st_mtim.tv_sec &&
-         one.st_mtim.tv_nsec == other.st_mtim.tv_nsec;
+std::filesystem::file_time_type write_time(const std::string& path) {
+  std::error_code unreadable;
+  return std::filesystem::last_write_time(path, unreadable);
 }
 
 }  // namespace
@@ -65,7 +58,7 @@ const ComponentLibrary& LibraryLoader::open(ComponentBackend& backend, const std
   if (const auto found = open_.find(key); found != open_.end()) {
     const Opened& opened = found->second;
     lock.unlock();
-    if (!is_same(opened.file, file_state(path))) {
+    if (write_time(path) != opened.written) {
       report(path + " has changed since it was loaded: node " + node +
              " gets the code as it was, until the container is restarted");
     }
@@ -108,12 +101,12 @@ void LibraryLoader::work() {
 
 void LibraryLoader::carry_out(Order& order) {
   try {
-    const struct stat file = file_state(order.path);
+    const auto written = write_time(order.path);
     const OpeningGuard guard(order.node, order.path);
     std::unique_ptr<ComponentLibrary> library = open_library(order.backend, order.path);
     isolation::look_up_type_supports(order.path.c_str());
     const std::lock_guard lock(mutex_);
-    open_.emplace(Key(&order.backend, order.path), Opened{std::move(library), file});
+    open_.emplace(Key(&order.backend, order.path), Opened{std::move(library), written});
   } catch (...) {
     order.failure = describe_current_exception();
   }

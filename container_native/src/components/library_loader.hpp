@@ -1,12 +1,12 @@
 #pragma once
 
 #include <signal.h>
-#include <sys/stat.h>
 
 #include <array>
 #include <condition_variable>
 #include <cstdint>
 #include <deque>
+#include <filesystem>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -56,7 +56,7 @@ class LibraryLoader {
   using Key = std::pair<const ComponentBackend*, std::string>;
   struct Opened {
     std::unique_ptr<ComponentLibrary> library;
-    struct stat file;  // of all zeros where it could not be read
+    std::filesystem::file_time_type written;  // min() where the file could not be read
   };
 
   std::shared_ptr<Order> order(ComponentBackend& backend, const std::string& path,
